@@ -85,8 +85,8 @@ problem(surfaces='hall.geojson') | surfaces .* read_surfaces\(FILE\)
 problem(cost=MODEL) | cost is a PowerModel; give an EnergyCost: EnergyCost\(model\)
 ep.plan('hall.yaml') | problem .* give a PlanningProblem
 ep.plan(problem(), 0.5) | planner is 0.5; give a text or a Planner
-ep.plan(problem(), effort=50, resolution=0.1) | 'resolution'.* takes .*finest
-ep.plan(problem(), effort=50, finest=0) | finest is 0
+ep.plan(problem(), effort=50, resolution=0.1) | 'resolution'.* takes .*seed
+ep.plan(problem(), effort=50, gap=-1.0) | gap is -1
 ep.plan(problem(), ep.Planner(lambda problem: None), 0.1) | too many positional
 ep.Planner('lattice') | by its name alone
 ep.evaluate('mission.yaml') | mission .* read_mission\(FILE\)

@@ -350,16 +350,22 @@ def draft(recording: Recording, known: Given) -> Draft:
         lacks.append("power")
     if lacks:
         refuse(recording, lacks)
-    for channel, one in found.items():
-        unit = one.unit
-        if channel in speeds and unit in (*RATES, *COUNTS):  # takes a radius, below
-            unit = "" if unit in RATES else f"{unit}*1"
-        columns[channel] = one.model_copy(update={"unit": unit}).mean()
-    for channel in ("slope", "temperature", "payload"):
-        if channel in recording.columns and channel not in columns:
-            columns[channel] = Column(field=channel, channel=channel)
+    columns |= _as_channels(found)
+    for channel in sorted({"slope", "temperature", "payload"} & {*recording.columns} - {*columns}):
+        columns[channel] = Column(field=channel, channel=channel)
     notes += _of_compass(recording, columns, found)
     return Draft(columns, found, notes, given, tuple(there))
+
+
+def _as_channels(found: Mapping[str, Column]) -> dict[str, Column]:
+    """Return columns as channels; what takes a radius is a rate without a unit until then."""
+    result = {}
+    for channel, one in found.items():
+        unit = one.unit
+        if channel in SPEEDS and unit in (*RATES, *COUNTS):
+            unit = "" if unit in RATES else f"{unit}*1"
+        result[channel] = one.model_copy(update={"unit": unit}).mean()
+    return result
 
 
 def _of_topic_map(

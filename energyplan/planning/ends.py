@@ -12,21 +12,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.errors import NoPathError, PlanningError
+from energyplan.errors import NoPathError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.plans import Candidate
 from energyplan.planning.problem import KEPT, LEAVING, PlanningProblem, free_beside
-from energyplan.planning.search.lattice import joined
-from energyplan.planning.search.narrow.ends import NOTHING, Ends, ways_out
+from energyplan.planning.search.narrow.ends import Ends, ways_out
 from energyplan.planning.search.optimise import Refiner
-from energyplan.planning.search.planner import plan as plan_bare
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled, merged
 from energyplan.planning.space.configurations import grown
 from energyplan.planning.space.cost_to_go import cost_at_start, cost_to_go, regions_for
@@ -34,14 +31,8 @@ from energyplan.planning.space.motions import steering_cost
 from energyplan.terrain.collision import Body
 
 _FAR = (1.0, 2.0, 4.0, 8.0)  # how far from an end paths are refined for what room is there [sizes]
-_LEFT = 1.5  # how far a path without clearance is used that does not lead to it soon [sizes]
-_RINGS = (0.25, 0.5, 1.0, 2.0)  # distances of poses around an end that ways may lead to [sizes]
-_DIRECTIONS = 16  # in which they lie
-_TURNS = (-0.8, -0.4, -0.2, 0.0, 0.2, 0.4, 0.8)  # by which they are turned [rad]
-_BEST = 3  # how many of these ways are compared
 _SWING = 0.02  # clearance that an end has and leaving it need not keep, for corners swing out [m]
 _PIECE = 0.05  # segments at whose ends that may begin or end [sizes], [rad]
-_NEARLY = 0.01  # gap at which a path without clearance leads out well enough
 _ROUNDS = 3  # of refining at the ends and in between, at most
 _GAIN = 1e-3  # least part of the cost by which another round, or less room, has to pay
 
@@ -123,11 +114,9 @@ def _joined_ways(
     problem: PlanningProblem, query: CompiledProblem, budget: Budget
 ) -> Between | None:
     """Return the ways that promise the least cost on the whole, of those from one end or both."""
-    found: list[tuple[bool, float, Between]] = []
-    several: list[Ends] = []
-    if not problem.ends_clear:
-        several = _aside(query, budget) + _along_bare_path(query, budget.part(SHARES.aside))
-    for ways in several or ways_out(query, budget.part(SHARES.aside), turn=0.0):
+    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
+    found: list[tuple[bool, bool, float, Between]] = []
+    for ways in ways_out(query, budget.part(SHARES.aside), turn=0.0):
         inner = replace(ways.problem, clearance=problem.clearance)
         if not (ways.moved and inner.ends_clear and all(map(problem.allows, ways.paths))):
             continue
@@ -139,79 +128,12 @@ def _joined_ways(
         far = cost_at_start(to_go, setting) * setting.least_metre
         least = steering_cost(setting, setting.start, setting.goal)
         cost = sum(query.value(path) for path in ways.paths) + max(far, least)
-        found.append((far == inf, cost, Between(inner, ways)))
+        soon = all(np.hypot(*np.subtract(*ends)) <= LEAVING * size for ends in (
+            (inner.start[:2], problem.start[:2]), (inner.goal[:2], problem.goal[:2])
+        ))  # fmt: skip
+        found.append((far == inf, not soon, cost, Between(inner, ways)))
     # if none of them is joined, the planner says why
-    return min(found, key=lambda one: one[:2])[-1] if found else None
-
-
-def _aside(query: CompiledProblem, budget: Budget) -> list[Ends]:
-    """Return ways of a single exact motion, to poses around that have the whole clearance."""
-    problem, setting = query.problem, query.setting
-    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
-    found: list[list[Segments]] = []
-    for goal, end in enumerate((problem.start, problem.goal)):
-        if query.has_margin(end):
-            found.append([NOTHING])
-            continue
-        here = query.centre(end)
-        ways: list[tuple[float, int, Segments]] = []
-        for far, toward, turn in product(_RINGS, range(_DIRECTIONS), _TURNS):
-            angle = 2.0 * np.pi * toward / _DIRECTIONS
-            x, y = end.x + far * size * np.cos(angle), end.y + far * size * np.sin(angle)
-            there = Pose(float(x), float(y), end.yaw + turn)
-            budget.spend(UNITS.pose)
-            if not query.has_margin(there):
-                continue
-            at = query.centre(there)
-            motions, cost = joined(setting, *((at, here) if goal else (here, at)))
-            budget.spend(UNITS.join)
-            if cost < inf:
-                ends = (setting.start, at) if goal else (at, setting.goal)
-                ways.append((cost + steering_cost(setting, *ends), len(ways), motions))
-        found.append([motions for _, _, motions in sorted(ways, key=lambda way: way[:2])[:_BEST]])
-    outs, backs = found
-    if not (outs and backs):
-        return []
-    several = max(len(outs), len(backs))
-    return [Ends(query, outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
-
-
-def _along_bare_path(query: CompiledProblem, budget: Budget) -> list[Ends]:
-    """Return ways along a path of less clearance, and from there to the whole clearance."""
-    problem = query.problem
-    size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
-    try:
-        found = plan_bare(problem, budget.part(SHARES.stage), gap=_NEARLY).path
-    except PlanningError:  # the search without a goal may still lead out
-        return []
-    fine = found.subdivide(_PIECE * size, _PIECE)
-    # all of it where that is short, for what is near an end may lack clearance
-    lacking = [not query.has_margin(Pose(*at.tolist())) for at in fine.vertices]
-    off = np.hypot(*np.moveaxis(fine.vertices[[[0], [-1]], :2] - fine.vertices[:, :2], -1, 0))
-    first, last = (
-        int(np.argmin(there & (away <= LEAVING * size)))
-        for there, away in ((np.array(lacking), off[0]), (np.array(lacking[::-1]), off[1][::-1]))
-    )
-    if lacking[first]:
-        first = int(np.argmax(off[0] > _LEFT * size))
-    if lacking[-1 - last]:
-        last = int(np.argmax(off[1][::-1] > _LEFT * size))
-    last = len(fine) - last
-    if first > last:
-        return []
-    start, goal = (Pose(*fine.vertices[k].tolist()) for k in (first, last))
-    middle = replace(problem, start=start, goal=goal)
-    out, back = (
-        query.of_centre(fine.ds[k], fine.dtheta[k]) for k in (slice(0, first), slice(last, None))
-    )
-    return [
-        Ends(
-            query,
-            Segments(*(np.concatenate(each) for each in zip(out, ways.out, strict=True))),
-            Segments(*(np.concatenate(each) for each in zip(ways.back, back, strict=True))),
-        )
-        for ways in ways_out(CompiledProblem(middle, query.wanted), budget, turn=0.0)
-    ]
+    return min(found, key=lambda one: one[:3])[-1] if found else None
 
 
 def _refined_at_ends(problem: PlanningProblem, ways: Ends, path: Path, budget: Budget) -> Path:

@@ -1,4 +1,4 @@
-"""The first path: the straight motion, routes that are tracked, narrow passages, lattices, in turn.
+"""The first path: the straight motion, routes that are tracked, narrow passages, in turn.
 
 What none of these finds is proven to be closed, or refused with how near the search got.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from energyplan.compilation import compile_kernels
 from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import SHARES, UNITS, Budget
-from energyplan.planning.search.lattice import EXHAUSTED, Search, joined, lattice_for
+from energyplan.planning.search.lattice import joined
 from energyplan.planning.search.narrow.ends import Ends, ways_out
 from energyplan.planning.search.narrow.infeasible import (
     Proof,
@@ -47,11 +47,17 @@ class Paths:
     entered: list[Segments] = field(default_factory=list)
     stuck: list[Tracked] = field(default_factory=list)  # routes that could not be tracked
     through_passages: bool = False  # whether narrow passages were searched
+    stop: float = 0.0  # price of a stop
 
     @property
     def setting(self) -> KernelProblem:
         """The problem between the ends of searches, as the kernels see it."""
-        return self.ends.between(self.query.setting)
+        return self.ends.between(self.query.setting)._replace(stop=self.stop)
+
+    def price_stops(self, stop: float) -> None:
+        """Compare and refine paths with a price of every stop from now on."""
+        self.stop = stop
+        self.portfolio = self.portfolio.priced(stop)
 
     @property
     def cost(self) -> float:
@@ -95,7 +101,7 @@ def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) 
     return Paths(query, gap, Portfolio(query.setting, seed), Bounding(query), ends, to_go)
 
 
-def find_first(paths: Paths, budget: Budget, finest: float) -> None:
+def find_first(paths: Paths, budget: Budget) -> None:
     """Find a first path, by one way after the other, or raise why there is none."""
     if np.isfinite(paths.cost):
         return
@@ -110,8 +116,8 @@ def find_first(paths: Paths, budget: Budget, finest: float) -> None:
     direct = paths.enter_between([motions] if cost < np.inf else [])
     if _track_shortest(paths, budget) or direct:
         return
-    routes = cheapest_routes(setting, to_go, budget.part(SHARES.stage), paths.stuck)
-    if paths.enter_between(routes):
+    routing = budget.part(SHARES.stage)
+    if paths.enter_between(cheapest_routes(setting, to_go, routing, paths.stuck)):
         return
     if tested:
         found = paths_through_passages(setting, None, budget.part(SHARES.aside))
@@ -121,7 +127,12 @@ def find_first(paths: Paths, budget: Budget, finest: float) -> None:
     # between ends without room there may be a way where no pose near them is free
     if proof is not None and (paths.ends.moved or query.ends_have_margin):
         check_proof(query, setting, proof)
-    _search_lattices(paths, budget, finest, tested)
+    near = [(one.x, one.y) for one in paths.stuck]
+    if not (routing.over or budget.over):
+        raise none_found(query, to_go.places.spacing, near)
+    joins = "join start and goal, but motions along them do not yet"
+    none = "that were tested do not join start and goal"
+    raise none_in_time(query, budget, f"the free poses {joins if tested else none}", near)
 
 
 def _track_shortest(paths: Paths, budget: Budget) -> bool:
@@ -140,38 +151,3 @@ def _proof(query: CompiledProblem, setting: KernelProblem, budget: Budget) -> Pr
     if found.proven:
         check_proof(query, setting, found)
     return found
-
-
-def _search_lattices(paths: Paths, budget: Budget, finest: float, tested: bool) -> None:
-    """Search lattices for a first path, each twice as fine as the one before."""
-    query = paths.query
-    # where no path between poses with room is found, one between the ends themselves may be
-    tried = {paths.ends: paths.to_go}
-    if paths.ends.moved:
-        tried[Ends(query)] = cost_to_go(query.setting)
-    searched: list[Search] = []
-    scale, complete = 1.0, True
-    while scale >= finest and not budget.over:
-        for ends, to_go in tried.items():
-            lattice = lattice_for(query.setting, scale)
-            search = Search(ends.between(query.setting), to_go, lattice)
-            state = search.run(budget.part(SHARES.stage))
-            searched.append(search)
-            if search.found:
-                paths.ends, paths.to_go = ends, to_go
-                paths.enter_between([search.segments()])
-                return
-            complete = complete and state == EXHAUSTED
-        scale *= 0.5
-    if complete and scale < finest:
-        raise none_found(query, searched[-1].lattice.cell, searched[-1].nearest)
-    if searched:
-        cells = sum(int(one.tree.counts[2]) for one in searched)
-        size = searched[-1].lattice.cell
-        done = f"{cells} places were searched in cells down to {size:.3g} m"
-    elif tested:
-        done = "free poses join start and goal, but motions along them do not yet"
-    else:
-        done = "the free poses that were tested do not join start and goal"
-    near = [*((one.x, one.y) for one in paths.stuck), *(one.nearest for one in searched)]
-    raise none_in_time(query, budget, done, near)

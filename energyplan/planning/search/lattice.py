@@ -68,8 +68,8 @@ class Tree(NamedTuple):
 class Root(NamedTuple):
     """Where a search without a goal begins, at which cost."""
 
-    x: float  # [m]
-    y: float  # [m]
+    x: float  # x and y of the place [m]
+    y: float
     heading: int  # index of its heading, from that of the problem's start on
     cost: float
 
@@ -368,12 +368,6 @@ class Search:
     def frontier(self) -> float:
         """Cost of the cheapest node that is still open; infinite where none is."""
         return float(self.tree.heap_f[0]) if int(self.tree.counts[1]) else np.inf
-
-    @property
-    def nearest(self) -> tuple[float, float]:
-        """The place reached from which the goal seems to be nearest, x and y [m]."""
-        node = int(np.argmin(self.tree.h[: int(self.tree.counts[0])]))
-        return float(self.tree.x[node]), float(self.tree.y[node])
 
     def cheapest(self, budget: Budget, limit: float) -> Segments | None:
         """Return the cheapest motions to the goal, if they cost less than `limit`."""

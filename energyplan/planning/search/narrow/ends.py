@@ -145,13 +145,21 @@ def _key(pose: Pose, room: float, reach: float) -> int:
 
 @njit
 def escape(
-    space: Space, body: Body, grown: Body, end: Pose, half: float, spins: bool, reverse: bool,
-    reach: float, inwards: bool, needed: float, tests: int,
+    setting: KernelProblem, grown: Body, end: Pose, far: Pose, inwards: bool, needed: float,
+    clearing: float, tests: int,
 ) -> Escape:  # fmt: skip
-    """Search until enough poses with room are known, or so many motions were tested."""
+    """Search until enough poses with room are known, or so many motions were tested.
+
+    Where a turn is needed, short paths and more room to turn come first; where it is clearance
+    alone, paths that cost little on the whole, to the other end, and more clearance: the whole of
+    it makes up for a way that is so many reaches of the body longer.
+    """
+    space, body = setting.space, setting.body
+    reach = setting.reach
+    half = max(setting.half_track, setting.widest)
     nodes = ESCAPE.nodes
     poses = np.empty((nodes, 3))
-    g = np.empty(nodes)  # length from the end, plus half the slip track for each radian [m]
+    g = np.empty(nodes)  # length from the end, plus half the slip track for each radian; or cost
     parent = np.empty(nodes, np.int32)
     motion_ds = np.empty(nodes)
     motion_turn = np.empty(nodes)
@@ -163,33 +171,28 @@ def escape(
     tested = np.zeros(1, np.int64)
     found = 0
     count = 1
-    room = _spin_room(space, body, end, tested)
+    room = ESCAPE.turn if needed == 0.0 else _spin_room(space, body, end, tested)
     put_pose(poses, 0, end)
     g[0] = 0.0
     parent[0] = -1
     key[0] = _key(end, room, reach)
     table[slot_of(table, key, key[0])] = 0
     size = push(heap_f, heap_node, 0, -_octaves(room), 0)
-    far = 4.0 * reach
     while size > 0 and tested[0] < tests and found < ESCAPE.ways:
         if count + KINDS * len(ESCAPE.parts) > nodes:
             break
         node = int(heap_node[0])
         size = pop(heap_f, heap_node, size)
         pose = pose_at(poses, node)
+        if needed == 0.0 and pose_free(space, grown, pose.x, pose.y, pose.yaw):
+            with_room[found] = node
+            found += 1
+            continue
         for kind in range(KINDS):
-            sign = 1.0 if kind % 2 == 0 else -1.0
-            most_ds = sign * far
-            most_turn = 0.0
-            if kind >= 2:
-                # no further than a quarter turn
-                most_turn = sign * 0.5 * pi
-                most_ds = 0.0
-            if kind >= 4:
-                most_ds = half * 0.5 * pi * (1.0 if kind < 6 else -1.0)
-            if most_ds < 0.0 and not reverse:
+            most_ds, most_turn = _longest(kind, reach, half)
+            if most_ds < 0.0 and setting.gear != 0:
                 continue
-            if most_ds == 0.0 and not spins:
+            if most_ds == 0.0 and setting.widest > 0.0:
                 continue
             free = _free_part(space, body, pose, most_ds, most_turn, inwards, ESCAPE.closer, tested)
             if free == 0.0:
@@ -201,29 +204,50 @@ def escape(
                 # a part of a free motion is free, up to the subdivision of its test
                 if not _free(space, body, pose, ds, dtheta, inwards, tested):
                     continue
-                room = _spin_room(space, body, there, tested)
+                if needed > 0.0:
+                    room = _spin_room(space, body, there, tested)
                 here = _key(there, room, reach)
                 slot = slot_of(table, key, here)
                 if table[slot] >= 0:
                     continue
                 table[slot] = count
                 put_pose(poses, count, there)
-                g[count] = g[node] + abs(ds) + half * abs(dtheta)
                 parent[count] = node
                 motion_ds[count] = ds
                 motion_turn[count] = dtheta
                 key[count] = here
-                if room >= needed and pose_free(space, grown, there.x, there.y, there.yaw):
+                if needed > 0.0:
+                    g[count] = g[node] + abs(ds) + half * abs(dtheta)
+                    f = g[count] / (ESCAPE.doubling * reach) - _octaves(room)
+                else:
+                    begin = there if inwards else pose
+                    g[count] = g[node] + motion_cost(setting, begin, ds, dtheta)
+                    rest = (
+                        steering_cost(setting, far, there)
+                        if inwards
+                        else steering_cost(setting, there, far)
+                    )
+                    f = (g[count] + rest) / (setting.least_metre * reach)
+                    f -= clearing * _kept(space, body, grown, there)
+                at_once = needed > 0.0 and room >= needed
+                if at_once and pose_free(space, grown, there.x, there.y, there.yaw):
                     with_room[found] = count
                     found += 1
                 else:
-                    # short paths and more room come first
-                    f = g[count] / (ESCAPE.doubling * reach) - _octaves(room)
-                    if needed == 0.0:  # it is clearance that is lacking
-                        f -= ESCAPE.clearing * _kept(space, body, grown, there)
                     size = push(heap_f, heap_node, size, f, count)
                 count += 1
     return Escape(poses, parent, motion_ds, motion_turn, with_room[:found].copy(), tested[0])
+
+
+@inner
+def _longest(kind: int, reach: float, half: float) -> tuple[float, float]:
+    """Return the length and the turn of the longest motion of a kind: a quarter turn at most."""
+    sign = 1.0 if kind % 2 == 0 else -1.0
+    if kind < 2:
+        return sign * 4.0 * reach, 0.0
+    if kind < 4:
+        return 0.0, sign * 0.5 * pi
+    return half * 0.5 * pi * (1.0 if kind < 6 else -1.0), sign * 0.5 * pi
 
 
 NOTHING = Segments(np.empty(0), np.empty(0))
@@ -326,28 +350,34 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     problem = query.problem
     ends = (problem.goal, problem.start) if goal else (problem.start, problem.goal)
     pose, far = (query.centre(end) for end in ends)
-    space, body, setting = query.grid.space, query.body, query.setting
-    tree = escape(
-        space, body, query.grown, pose, max(setting.half_track, setting.widest),
-        setting.widest == 0.0, setting.gear == 0, setting.reach, goal, turn,
-        int(budget.left / UNITS.motion) + 1,
-    )  # fmt: skip
-    budget.spend(UNITS.motion * tree.tests)
+    setting = query.setting
     ways: list[tuple[float, Segments]] = []
-    for node in tree.open.tolist():
-        room = Pose(*tree.poses[node].tolist())
-        chain = []
-        while tree.parent[node] >= 0:
-            chain.append((float(tree.ds[node]), float(tree.dtheta[node])))
-            node = int(tree.parent[node])
-        here = room if goal else pose
-        begin, end = (far, room) if goal else (room, far)
-        rest = steering_cost(setting, begin, end)
-        for ds, dtheta in chain if goal else chain[::-1]:
-            rest += motion_cost(setting, here, ds, dtheta)
-            here = arc_end(here, ds, dtheta)
-        ways.append((rest, Segments(*np.array(chain if goal else chain[::-1]).T)))
+    several = ESCAPE.clearing if turn == 0.0 else ESCAPE.clearing[:1]
+    tests = int(budget.left / UNITS.motion / len(several)) + 1
+    for clearing in several:
+        tree = escape(
+            setting._replace(body=query.body), query.grown, pose, far, goal, turn, clearing, tests
+        )
+        budget.spend(UNITS.motion * tree.tests)
+        for node in tree.open.tolist():
+            room, chain = Pose(*tree.poses[node].tolist()), _chain(tree, node)
+            motions = chain if goal else chain[::-1]
+            here, ends = (room, (far, room)) if goal else (pose, (room, far))
+            cost = steering_cost(setting, *ends)
+            for ds, dtheta in motions:
+                cost += motion_cost(setting, here, ds, dtheta)
+                here = arc_end(here, ds, dtheta)
+            ways.append((cost, Segments(*np.array(motions).T)))
     return [way for _, way in sorted(ways, key=lambda way: way[0])]
+
+
+def _chain(tree: Escape, node: int) -> list[tuple[float, float]]:
+    """Return the motions to a node of a tree, the last one first."""
+    chain = []
+    while tree.parent[node] >= 0:
+        chain.append((float(tree.ds[node]), float(tree.dtheta[node])))
+        node = int(tree.parent[node])
+    return chain
 
 
 def ways_out(query: CompiledProblem, budget: Budget, turn: float = ESCAPE.turn) -> list[Ends]:

@@ -374,24 +374,34 @@ def _none(
     return NoPathError(_message(query, why, (x, y)), **verdict)
 
 
-def none_found(query: CompiledProblem, cell: float, near: tuple[float, float]) -> NoPathError:
-    """Return the error that says that none was found at a resolution."""
+def none_found(
+    query: CompiledProblem, spacing: float, near: list[tuple[float, float]]
+) -> NoPathError:
+    """Return the error that says that none was found among poses so far apart."""
     why = (
-        f"none was found in cells of {cell:.3g} m, though a finer search might find one (the "
-        "lattice planner's option finest halves them)"
+        f"none was found along the free poses {spacing:.3g} m apart, though one might lead through "
+        "a gap that leaves less room than that (finer cells of the map, or a smaller clearance, "
+        "may show one)"
     )
-    return NoPathError(_message(query, why, near), resolution=cell)
+    return NoPathError(_message(query, why, _nearest(query, near)), resolution=spacing)
+
+
+def _nearest(query: CompiledProblem, near: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return which of the start and some places lies nearest to the goal."""
+    goal = query.problem.goal
+    places = [(query.problem.start.x, query.problem.start.y), *near]
+    return min(places, key=lambda at: hypot(goal.x - at[0], goal.y - at[1]))
 
 
 def none_in_time(
     query: CompiledProblem, budget: Budget, done: str, near: list[tuple[float, float]]
 ) -> TimeLimitError:
     """Return the error that says that none was found before a budget was over."""
-    start, goal = query.problem.start, query.problem.goal
-    left, x, y = min((hypot(goal.x - x, goal.y - y), x, y) for x, y in [start[:2], *near])
+    goal, (x, y) = query.problem.goal, _nearest(query, near)
     return TimeLimitError(
         f"no path was found in {budget.name}: {done}; the place nearest to the goal that was "
-        f"reached is ({x:.2f}, {y:.2f}), {left:.2f} m from it; give more {budget.remedy}",
+        f"reached is ({x:.2f}, {y:.2f}), {hypot(goal.x - x, goal.y - y):.2f} m from it; give more "
+        f"{budget.remedy}",
         budget.remedy,
     )
 
