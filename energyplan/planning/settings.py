@@ -88,7 +88,8 @@ class Refining(NamedTuple):
     opening: float = 500.0  # units of work of a path's first turn, with its shortcuts
     turns: float = 200.0  # units of work of each turn that follows
     kept: int = 4  # paths that stay in the portfolio
-    leading: int = 2  # how many of them get another turn
+    leading: int = 2  # how many of them get another turn, and copies of the best refined at once
+    rounds: int = 3  # how often the best is refined anew although that may be in vain
     hope: float = 1.03  # cost over the best one above which a path is given up [1]
     same: float = 1e-9  # share of the cost by which paths differ that count as two
 

@@ -437,6 +437,9 @@ class Portfolio:
         self.setting = setting
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
+        self.others: list[Segments] = []
+        """What has become of those that stayed to the end."""
+        self.rounds = 0
         self.seed = seed
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
@@ -460,7 +463,7 @@ class Portfolio:
     @property
     def known(self) -> list[Segments]:
         """The best few."""
-        return [entrant.segments for entrant in self._kept]
+        return [entrant.segments for entrant in self._kept] or self.others
 
     @property
     def waiting(self) -> bool:
@@ -500,6 +503,28 @@ class Portfolio:
         if budget.over or self.cost <= enough:
             return
         hopeful = [entrant for entrant in self._kept if entrant.cost <= REFINING.hope * self.cost]
+        self._finish(hopeful, budget, enough)
+        self.others = [entrant.segments for entrant in self._kept]
+        self._kept = []
+
+    def improve(self, budget: Budget, enough: float) -> None:
+        """Refine the best path until the budget is over or that gains nothing any more.
+
+        At effort 50,000 it takes 18 % of the work for 0.01 % of the cost, but a path of very many
+        poses, through narrow passages, may else cost 40 % more at effort 20,000 than at 5,000.
+        """
+        gains = True
+        while gains and not budget.over and self.cost > enough:
+            before = self.cost
+            entrants = []
+            for _ in range(REFINING.leading):
+                self.rounds += 1
+                entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
+            self._finish(entrants, budget, enough)
+            gains = self.rounds <= REFINING.rounds or self.cost <= before * (1 - 1e-5)
+
+    def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
+        """Refine some paths until little is gained."""
 
         def run(entrant: Refiner, own: Budget) -> None:
             entrant.shortcut(own)
@@ -508,6 +533,6 @@ class Portfolio:
                 entrant.again(own)
             entrant.polish(own, enough=enough)
 
-        side_by_side(budget, [partial(run, entrant) for entrant in hopeful], budget.left)
-        for entrant in hopeful:
+        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
+        for entrant in entrants:
             self._offer(entrant)

@@ -11,8 +11,8 @@
    narrow passages are searched. A lower bound on every path's cost is computed in parallel.
 4. `_shorten`: the shortest of all paths found is shortened with a part of what is left. It is
    the answer where length is the objective, and a plan of least energy costs no more.
-5. `Portfolio.finish`: the paths compete for the budget to be refined. Planning ends when the
-   budget is over, the gap to the bound is closed, or nothing is gained any more.
+5. `_refine`: the paths compete for the budget to be refined. Planning ends when the budget is
+   over, the gap to the bound is closed, or nothing is gained any more.
 6. `_with_fewer_stops`: where stops take energy or time, paths are compared by what driving them
    takes. Where they take much, it comes in place of the step before.
 
@@ -104,7 +104,7 @@ def plan(
             paths.enter(base.motions_of(of, short))
     rivals = [*shortest, *known]
     if not stops:
-        paths.portfolio.finish(planning, paths.enough)
+        _refine(paths, planning)
         drive = Stops(_finished(query, [query.path(paths.portfolio.best), *rivals]))
     else:
         drive = _with_fewer_stops(paths, query, planning, budget, rivals)
@@ -171,10 +171,17 @@ def _shorten(
     def run(own: Budget) -> None:
         short.run(own.part(SHARES.stage), enough)
         short.finish(own, enough)
+        short.improve(own, enough)
 
     units = min(SHARES.aside * budget.left, budget.spent)
     do_together(budget, [Work(run, units, lambda _: None), *beside])
     return short.best
+
+
+def _refine(paths: Paths, budget: Budget) -> None:
+    """Refine the paths until the budget is over, the gap closed, or nothing is gained."""
+    paths.portfolio.finish(budget, paths.enough)
+    paths.portfolio.improve(budget, paths.enough)
 
 
 def _with_fewer_stops(
@@ -189,10 +196,16 @@ def _with_fewer_stops(
         if found.share >= 1.0:
             # where stops take much, all that is left is for paths that have few
             return least_driven(query, found, portfolio.known, paths.to_go, budget, rivals)
-    portfolio.finish(planning, paths.enough)
+    _refine(paths, planning)
     path = _finished(query, [query.path(portfolio.best), *rivals])
-    found = stops_of(query, path, budget)
-    return least_driven(query, found, portfolio.known, paths.to_go, budget, rivals)
+    found, before = stops_of(query, path, budget), paths.cost
+    if found.share < 1.0:
+        # what other stops cannot bring is spent as if there were none
+        portfolio.improve(budget.part(1.0 - found.share), paths.enough)
+        if paths.cost < before:
+            path = _finished(query, [found.path, query.path(portfolio.best)])
+            found = stops_of(query, path, budget)
+    return least_driven(query, found, portfolio.others, paths.to_go, budget, rivals)
 
 
 def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
