@@ -153,8 +153,8 @@ def diagnose(
     >>> truth = PowerModel.preset("quadriga:full:concrete").with_term(HOTEL, 30.0)
     >>> train = simulate.identification_drive(truth, power_noise=5.0, seed=1)
     >>> unseen = simulate.validation_drive(truth, power_noise=5.0, seed=2)
-    >>> told = diagnose(train, unseen, truth.vehicle)
-    >>> told.verdict, [(effect.name, round(effect.value)) for effect in told.effects]
+    >>> found = diagnose(train, unseen, truth.vehicle)
+    >>> found.verdict, [(effect.name, round(effect.value)) for effect in found.effects]
     ('effect_found', [('hotel_load', 30)])
     """
     report: Progress = progress or (lambda fraction, message: None)
@@ -300,7 +300,7 @@ class _Case:
         self, searched: SearchResult, choose: bool, empirical: bool, report: Progress
     ) -> Diagnosis:
         """Judge the most probable explanation on the hold-out drives and put it into words."""
-        told_before = dependences(self.problem, PAPER, ("power",))
+        dependences_before = dependences(self.problem, PAPER, ("power",))
         report(0.9, "testing the residual against every channel")
         keep = self.identified and self.mass_centre is None
         fighting = next((one for one in self.entries if one.acts == "hold"), None)
@@ -313,9 +313,9 @@ class _Case:
             averaged(searched.best.problem, outcome.model.fitted, parts, self._common(parts))
             if choose else None
         )  # fmt: skip
-        told = outcome.model.fitted if weighed is None else weighed.fitted
+        fitted = outcome.model.fitted if weighed is None else weighed.fitted
         average = None if weighed is None else weighed.average
-        on = _HeldOut.of(self, told, parts)
+        on = _HeldOut.of(self, fitted, parts)
         found = self._found(outcome.effects, outcome.model.fitted, searched, on.after)
         if heat is not None and fighting is not None:
             found = (*found, heat.effect(fighting))
@@ -327,13 +327,13 @@ class _Case:
             else _HeldOut.of(self, outcome.model.fitted, parts).known
         )  # fmt: skip
         held = holds(quality, own)
-        advice = self._advice(outcome, found, told, average, on, score(own), held, searched)
+        advice = self._advice(outcome, found, fitted, average, on, score(own), held, searched)
         used = [part.effect for part in outcome.effects]
         report(1.0, "done")
         return Diagnosis(
             effects=found,
             model=_for_planners(
-                told.model, used, replace(on.errors[1], run_spread=told.run_spread), self.name
+                fitted.model, used, replace(on.errors[1], run_spread=fitted.run_spread), self.name
             ),
             before=on.errors[0],
             after=on.errors[1],
@@ -342,13 +342,13 @@ class _Case:
             unexplained=outcome.unexplained,
             advice=tuple(advice),
             paper=replace(self.paper, residual=on.errors[0]),
-            dependences_before=told_before,
+            dependences_before=dependences_before,
             dependences_after=outcome.dependences,
             predictions_before=self._on_given_samples(on.before),
             predictions_after=self._on_given_samples(on.after),
             explanations=self._explanations(searched),
             adequacy=quality,
-            predictions=energies(told, on.ahead),
+            predictions=energies(fitted, on.ahead),
             training=tuple(log.name for log in self.logs[0]),
             judging=tuple(log.name for log in self.logs[1]),
             choosing=self._choosing(),
@@ -361,15 +361,15 @@ class _Case:
         )
 
     def _advice(
-        self, outcome: Judged, found: Sequence[FoundEffect], told: Fitted, average: Average | None,
-        on: _HeldOut, own: Residual, held: bool, searched: SearchResult,
+        self, outcome: Judged, found: Sequence[FoundEffect], fitted: Fitted,
+        average: Average | None, on: _HeldOut, own: Residual, held: bool, searched: SearchResult,
     ) -> Iterator[str]:  # fmt: skip
         """Yield what to drive, weigh or mend next, the most important first."""
         quality, heat = outcome.model.quality, outcome.model.heat
         names = [one.name for one in found]
         yield from self.limits
-        yield from open_in_words(told.model, told.assumed)
-        yield from ends_in_words(told.model)
+        yield from open_in_words(fitted.model, fitted.assumed)
+        yield from ends_in_words(fitted.model)
         if heat is not None:
             yield heat.in_words
         yield from self._of_totals(outcome.effects)
@@ -478,17 +478,17 @@ class _HeldOut:
     undated: Residual | None  # of `ahead`, where that is not `after`
 
     @classmethod
-    def of(cls, case: _Case, told: Fitted, parts: Sequence[Part]) -> _HeldOut:
+    def of(cls, case: _Case, fitted: Fitted, parts: Sequence[Part]) -> _HeldOut:
         """Predict the hold-out drives of a case."""
         before = case.before
-        after = [predict(told.model, parts, drive) for drive in case.held]
-        if told.model is case.paper:
+        after = [predict(fitted.model, parts, drive) for drive in case.held]
+        if fitted.model is case.paper:
             after = list(before)
         ahead, undated = after, None
         if any(part.effect.acts == "change" for part in parts):
-            ahead = [predict(told.model, parts, drive, dated=False) for drive in case.held]
+            ahead = [predict(fitted.model, parts, drive, dated=False) for drive in case.held]
             undated = score(ahead)
-        known = [with_contacts(told.model, one) for one in after]
+        known = [with_contacts(fitted.model, one) for one in after]
         return cls(before, after, ahead, known, (score(before), score(after)), undated)
 
 

@@ -320,8 +320,8 @@ def averaged(
         members = [table.member((), fold), *table.extensions(fold)]
         if parts or few:
             members.append(explanation.member(windows, fold))
-        told = telling if fold is windows.run else np.ones(len(members[0].errors), bool)
-        compared.append((what, members, _weights(members, told)))
+        chosen = telling if fold is windows.run else np.ones(len(members[0].errors), bool)
+        compared.append((what, members, _weights(members, chosen)))
     # All must be predicted: runs that are to come, and motions and ground that are in them.
     what, members, weights = min(compared, key=lambda one: float(one[2][-1]))
     own = float(weights[-1]) if members[-1].explains else 0.0
@@ -445,21 +445,26 @@ def _grouped(points: FloatArray) -> NDArray[np.intp]:
     return np.asarray(np.unique(label, return_inverse=True)[1])
 
 
-def note_of(told: Average, names: Sequence[str]) -> str:
+def note_of(average: Average, names: Sequence[str]) -> str:
     """Describe the contents of the model for future runs."""
     why = (
-        "runs differ as a whole" if told.left_out == "run"
+        "runs differ as a whole" if average.left_out == "run"
         else "these drives do not show how the effects act on other motions, or elsewhere"
     )  # fmt: skip
-    own = f"the explanation ({', '.join(names)}), weight {told.weight:.2f}, with " if names else ""
-    further = [f"{name} {share:.2f}" for name, share in told.extensions.items() if share >= _SHOWN]
+    own = (
+        f"the explanation ({', '.join(names)}), weight {average.weight:.2f}, with " if names else ""
+    )
+    further = [
+        f"{name} {share:.2f}" for name, share in average.extensions.items() if share >= _SHOWN
+    ]
     with_more = f", alone and with further terms ({', '.join(further)})" if further else ""
     text = (
         f"{why}: the model averages {own}the paper's two terms by least absolute errors{with_more};"
-        f" leaving out one {told.left_out} after the other, {'the explanation' if own else 'it'} "
-        f"misses its energy by {100 * told.explanation_error:.1f} % and the two terms by "
-        f"{100 * told.cautious_error:.1f} %"
+        f" leaving out one {average.left_out} after the other, "
+        f"{'the explanation' if own else 'it'} "
+        f"misses its energy by {100 * average.explanation_error:.1f} % and the two terms by "
+        f"{100 * average.cautious_error:.1f} %"
     )
-    if own and told.weight < _RATHER and told.explanation_error >= told.cautious_error:
+    if own and average.weight < _RATHER and average.explanation_error >= average.cautious_error:
         text += ". The explanation is a suspicion only: it predicts them no better"
     return text

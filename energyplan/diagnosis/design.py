@@ -226,6 +226,17 @@ def design(
             f"no manoeuvre fits in {duration:g} s about ({here.x:.2f}, {here.y:.2f}); give more "
             "time or a freer place"
         )
+    chosen, gram = _chosen(question, options, duration)
+    trajectory = joined([option.trajectory for option in chosen])
+    pairs = question.separations(gram)
+    names = tuple(option.manoeuvre.name for option in chosen)
+    return Design(trajectory, names, pairs, question.probabilities(pairs), _sentence(names, pairs))
+
+
+def _chosen(
+    question: _Question, options: Sequence[Option], duration: float
+) -> tuple[list[Option], FloatArray]:
+    """Choose manoeuvres by what each adds in its time; return them, and their sum of products."""
     chosen: list[Option] = []
     gram, clock = question.zero, 0.0
     # Only where a term reads the time do products depend on when a manoeuvre begins.
@@ -235,16 +246,16 @@ def design(
     timeless = bool(np.allclose(probe, early[-1], rtol=1e-9))
     while True:
         now = question.criterion(gram)
-        worth = [
+        gains = [
             ((question.criterion(found) - now) / option.trajectory.duration, k, found)
             for k, option in enumerate(options)
             if clock + option.trajectory.duration <= duration
             for more in [early[k] if timeless else question.gram(option.trajectory, clock)]
             for found in [gram + more]
         ]
-        if not worth:
+        if not gains:
             break
-        best = max(worth, key=lambda entry: (entry[0], -entry[1]))
+        best = max(gains, key=lambda entry: (entry[0], -entry[1]))
         if not best[0] > 0:
             break
         chosen.append(options[best[1]])
@@ -253,10 +264,7 @@ def design(
     if not chosen:
         chosen = [options[0]]
         gram = question.gram(options[0].trajectory, 0.0)
-    trajectory = joined([option.trajectory for option in chosen])
-    pairs = question.separations(gram)
-    names = tuple(option.manoeuvre.name for option in chosen)
-    return Design(trajectory, names, pairs, question.probabilities(pairs), _sentence(names, pairs))
+    return chosen, gram
 
 
 def explanations_of(report: Mapping[str, Any]) -> tuple[Hypothesis, ...]:

@@ -592,9 +592,9 @@ def judged(
         dropped.append((worst.effect, why))
         parts = tuple(part for part in parts if part is not worst)
         now = Modelled.of(problem, parts, plain, heats)
-    told = dependences(problem, terms_of(parts))
+    tested = dependences(problem, terms_of(parts))
     left = [
-        one for one in told
+        one for one in tested
         if one.p_value < SIGNIFICANCE and one.explained_variance > max(_TELLING, 2 * one.std_error)
         and not (one.channel == "drive" and one.values[0] <= USUAL_RUN_SPREAD)
     ]  # fmt: skip
@@ -608,7 +608,7 @@ def judged(
         added = added if smooth(added) else None
     if added is not None:
         now = Modelled.of(problem, (*parts, added), plain, heats)
-    return Judged(parts, dropped, added, now, told, left, first)
+    return Judged(parts, dropped, added, now, tested, left, first)
 
 
 # -- does what was found hold on other drives? Prediction intervals of energies --------------------
@@ -651,7 +651,7 @@ def energies(fitted: Fitted, predictions: Sequence[Prediction]) -> tuple[EnergyP
     """Predict the energy of drives that took no part, with intervals."""
     found = []
     for one in predictions:
-        told = fitted.run.energy(fitted.model, one.drive)
+        energy = fitted.run.energy(fitted.model, one.drive)
         measured = float(one.drive.weights @ one.drive.power)
-        found.append(EnergyPrediction(one.drive.name, told.mean, told[1:], measured))
+        found.append(EnergyPrediction(one.drive.name, energy.mean, energy[1:], measured))
     return tuple(found)

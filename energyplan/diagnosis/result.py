@@ -205,13 +205,12 @@ class Diagnosis(html.Readable):
 
         ``no_effect``: the paper's model leaves no more than noise. ``unexplained``: it leaves more,
         and no entry of the catalogue explains it, or what was found does not hold on the hold-out
-        drives.
+        drives, or it leaves more than noise that a signal explains in part.
         """
-        if not (self.holds and self.explains):
+        sound = self.effects and self.adequacy.adequate
+        if not (self.holds and self.explains) or (self.unexplained and not sound):
             return "unexplained"
-        if self.effects:
-            return "effect_found"
-        return "unexplained" if self.unexplained else "no_effect"
+        return "effect_found" if self.effects else "no_effect"
 
     @property
     def no_probability(self) -> str | None:
@@ -349,6 +348,11 @@ def advice_of_model(
                 f"{' or '.join(map(html.words, effect.rivals))}; to separate them: "
                 f"{'; '.join(dict.fromkeys(way for way in ways if way))}"
             )
+    yield from _advice_of_body(used, model)
+
+
+def _advice_of_body(used: Sequence[Effect], model: PowerModel) -> Iterator[str]:
+    """Yield which mass is not the vehicle's, and which effects are of a sensor."""
     own = model.vehicle.mass
     for entry in used:
         if entry.of_mass is None or len(entry.terms) != 1:

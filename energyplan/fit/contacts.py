@@ -21,7 +21,7 @@ from energyplan.vehicle import Vehicle
 
 _BISECTIONS = 16
 _INSIDE = 12  # bisections by which a moment differs from its limit
-_TOLD = 5.0  # multiple of the noise from which the largest moment can be measured
+_MEASURABLE = 5.0  # multiple of the noise from which the largest moment can be measured
 
 
 def lost_power(
@@ -79,16 +79,16 @@ class Preload:
 
     moment: FloatArray  # (n,): the moment [N m]
     forces: Sides  # tread forces of the moment [N]
-    told: FloatArray  # (n,) [W/(N m)]
+    response: FloatArray  # (n,) [W/(N m)]
     cost: FloatArray  # (n,): by how much the total rises with it [W/(N m)]
     ends: FloatArray  # (n,)
-    sure: FloatArray  # (n,): mean square of `told` over the samples around each
+    sure: FloatArray  # (n,): mean square of `response` over the samples around each
     width: int  # samples over which it is taken for one
     alone: NDArray[np.bool_]  # (n,): samples that have a moment of their own
 
     def followed(self, between: FloatArray, limits: FloatArray) -> FloatArray:
         """Return by how much the total falls as the moment follows coefficients."""
-        pulled = self.told[:, None] * between - self.ends[:, None] * limits
+        pulled = self.response[:, None] * between - self.ends[:, None] * limits
         moved = _smoothed(pulled, self.width, self.alone)
         return np.asarray((self.cost / self.sure)[:, None] * moved)
 
@@ -135,12 +135,12 @@ def preload(
     step = max(1e-3 * limit, 1e-9)
     ahead, behind = held.powers(found + step), held.powers(found - step)
     rise = sign * ((ahead.right - ahead.left) - (behind.right - behind.left)) / (2 * step)
-    clear = rise * limit > _TOLD * drive.between_noise
+    clear = rise * limit > _MEASURABLE * drive.between_noise
     inside = clear & (np.abs(found) < (1.0 - 2.0**-_INSIDE) * limit)
-    weight, moment, told, cost, ends = (np.zeros(len(drive.t)) for _ in range(5))
+    weight, moment, response, cost, ends = (np.zeros(len(drive.t)) for _ in range(5))
     weight[at] = np.where(clear, rise, 0.0) ** 2
     moment[at] = found
-    told[at] = np.where(inside, sign * rise, 0.0)
+    response[at] = np.where(inside, sign * rise, 0.0)
     ends[at] = np.where(clear & ~inside, np.sign(found) * rise**2, 0.0)
     width = drive.samples_in(MOMENT)
     alone = _alone(at, width)
@@ -151,7 +151,7 @@ def preload(
     cost[at] = (held.cost(smooth[at] + step) - held.cost(smooth[at] - step)) / (2 * step)
     cost = np.where(driving, cost, 0.0)
     forces = Sides(-smooth / track, smooth / track)
-    return Preload(smooth, forces, told, cost, ends, sure, width, alone)
+    return Preload(smooth, forces, response, cost, ends, sure, width, alone)
 
 
 def _bisected(

@@ -242,7 +242,7 @@ USUAL = {"slip_friction": (0.6, 0.3), "traction_resistance": (0.1, 0.05)}
 """Mean and standard deviation: of mu, and of K over the robot's weight. They are those of the
 presets: from ice to asphalt, from 17 to 470 kg."""
 
-_UNTOLD = 1e3  # typical standard deviations, as the error of what drives do not show
+_NOT_SHOWN = 1e3  # typical standard deviations, as the error of what drives do not show
 _UNLIKE = 9.0  # mean square of standard deviations from the typical, beyond which it is atypical
 _WIDER = 1.5  # factor of the typical variance, in steps, for a robot that is atypical
 
@@ -281,12 +281,12 @@ def with_usual(
     size = np.sqrt(np.diagonal(gram)[which])
     for k, (place, shown) in enumerate(zip(which, size > 0.0, strict=True)):
         if not shown:
-            covariance[place, place] += (_UNTOLD * error[k]) ** 2
+            covariance[place, place] += (_NOT_SHOWN * error[k]) ** 2
     if len(which) == 2 and np.all(size > 0.0):
         least, along = gap(gram[np.ix_(which, which)] / np.outer(size, size))
         if least < COLLINEAR:
             along = along / size
-            along *= _UNTOLD / np.max(np.abs(along) / error)
+            along *= _NOT_SHOWN / np.max(np.abs(along) / error)
             covariance[np.ix_(which, which)] += np.outer(along, along)
     loose = np.diagonal(covariance)[which] > error**2
     taken = [place for place, one in zip(which, loose, strict=True) if one]
@@ -402,9 +402,9 @@ def shown_of_contacts(model: PowerModel, drive: Drive) -> FloatArray | None:
         return None
     keep = [k for k, term in enumerate(model.terms) if term.name != WHEEL_FIGHT.name]
     some = PowerModel(model.vehicle, tuple(model.terms[k] for k in keep), model.coefficients[keep])
-    told = equations_of(some, drive)[:, 0]
+    both = equations_of(some, drive)[:, 0]
     alone = equations_of(model, replace(drive, between=None))[:, 0]
-    return told - alone if np.any(told != alone) else None
+    return both - alone if np.any(both != alone) else None
 
 
 def left_over(model: PowerModel, drives: Sequence[Drive]) -> list[FloatArray]:

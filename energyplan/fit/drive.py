@@ -116,8 +116,8 @@ def turning(motion: Motion, t: FloatArray) -> Turning | None:
         rates.append(np.asarray(motion.channels["yaw_rate"]))
     if "yaw" in motion.channels:
         rates.append(np.gradient(np.unwrap(motion.channels["yaw"]), t))
-    told = [found for rate in rates if (found := Turning.of(rate, motion)) is not None]
-    return min(told, key=lambda one: one.noise + one.offset_error, default=None)
+    sensors = [found for rate in rates if (found := Turning.of(rate, motion)) is not None]
+    return min(sensors, key=lambda one: one.noise + one.offset_error, default=None)
 
 
 def quiet(motion: Motion, t: FloatArray) -> Motion:
@@ -163,7 +163,7 @@ def _quiet_run(
     if other is None or sample is None or sample >= wide:
         turn = _turn(right - left, level, wide, moving, period)
     else:
-        turn = _told_turn(right - left, level, other, moving, width, period)
+        turn = _sensed_turn(right - left, level, other, moving, width, period)
     level /= np.sqrt(2)
     left, right = mean - 0.5 * turn, mean + 0.5 * turn
     reach = width if level > _CREEP else 1
@@ -195,7 +195,7 @@ def _passing(size: FloatArray, driven: NDArray[np.bool_], reach: int) -> NDArray
     return moves
 
 
-def _told_turn(
+def _sensed_turn(
     wheels: FloatArray, level: float, other: Turning, moving: NDArray[np.bool_], width: int,
     period: float,
 ) -> FloatArray:  # fmt: skip
@@ -204,10 +204,10 @@ def _told_turn(
     if other.noise > _NOISELESS and 5 <= width <= len(seen):
         seen, noise = savgol_filter(seen, width, 2), noise * 1.5 / np.sqrt(width)
     offset = _SIGMA * other.offset_error
-    told = _turn(seen, noise + offset, _SIGMA * other.noise, moving, period, offset)
-    turn = np.where(np.abs(wheels) < level, told, wheels)
+    sensed = _turn(seen, noise + offset, _SIGMA * other.noise, moving, period, offset)
+    turn = np.where(np.abs(wheels) < level, sensed, wheels)
     # Both are right about a clear turn; a faint one of the wheels alone is their noise.
-    return np.where((told == 0.0) & (np.abs(wheels) < 2.0 * level), 0.0, turn)
+    return np.where((sensed == 0.0) & (np.abs(wheels) < 2.0 * level), 0.0, turn)
 
 
 def _turn(
@@ -226,12 +226,12 @@ def _turn(
         # Only where the whole stretch is straight so far: nothing leaks in from an adjacent turn.
         calm = maximum_filter1d((~straight | ~moving).astype(float), size) == 0.0
         average = uniform_filter1d(difference, size)
-        told = calm & (np.abs(average) > sample / np.sqrt(size) + offset)
+        clear = calm & (np.abs(average) > sample / np.sqrt(size) + offset)
         # A stretch ends where the turn does: carry the finding to its ends.
-        reach = maximum_filter1d(told.astype(float), size) > 0.0
+        reach = maximum_filter1d(clear.astype(float), size) > 0.0
         near = reach & straight & moving
         if near.any():
-            filled = np.interp(np.arange(len(turn)), np.flatnonzero(told), average[told])
+            filled = np.interp(np.arange(len(turn)), np.flatnonzero(clear), average[clear])
             turn = np.where(near & (turn == 0.0), filled, turn)
     return turn
 
@@ -256,8 +256,8 @@ def reading_noise(values: FloatArray) -> float:
     # Readings that mostly repeat flicker between two steps: the mean square of all but the largest
     # tenth counts too, up to half a step. Readings of zero alone are those of a sensor at rest.
     rest = values == 0.0
-    told = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
-    differences = np.abs(np.diff(values, 3)[told])
+    changing = ~(rest[3:] & rest[2:-1] & rest[1:-2] & rest[:-3])
+    differences = np.abs(np.diff(values, 3)[changing])
     if not len(differences) or np.ptp(values) == 0.0:
         return 0.0
     white = float(1.4826 * np.median(differences) / np.sqrt(20.0))
@@ -367,8 +367,8 @@ class Late(NamedTuple):
     @property
     def params(self) -> tuple[tuple[str, float], ...]:
         """Parameters by name; the lag where there is one."""
-        told = (("delay", self.delay), ("lag", self.lag))
-        return told if self.lag > 0.0 else told[:1]
+        both = (("delay", self.delay), ("lag", self.lag))
+        return both if self.lag > 0.0 else both[:1]
 
     @classmethod
     def of(cls, params: Sequence[tuple[str, float]]) -> Late:

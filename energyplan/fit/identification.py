@@ -251,7 +251,7 @@ _LEAST = 0.1  # share of the typical power that what is left out counts as takin
 
 
 @dataclass(frozen=True)
-class Foretold:
+class CrossValidation:
     """Errors of energies, each predicted from all other driving."""
 
     left_out: Literal["drive", "stretch"]
@@ -280,7 +280,7 @@ def without_each(parts: Sequence[Drive], model: PowerModel) -> list[FloatArray]:
     return found
 
 
-def foretold(model: PowerModel, drives: Sequence[Drive]) -> Foretold | None:
+def cross_validation(model: PowerModel, drives: Sequence[Drive]) -> CrossValidation | None:
     """Predict each drive, or each stretch of few drives, from the others."""
     parts = list(drives)
     if len(drives) < _FEWEST:
@@ -301,7 +301,7 @@ def foretold(model: PowerModel, drives: Sequence[Drive]) -> Foretold | None:
     usual = energy.sum() / seconds.sum() * seconds
     errors = np.abs(missed) / np.maximum(np.abs(energy), _LEAST * usual)
     what: Literal["drive", "stretch"] = "drive" if len(drives) >= _FEWEST else "stretch"
-    return Foretold(
+    return CrossValidation(
         what, len(parts), float(np.median(seconds)), float(errors.mean()), float(errors.max())
     )
 
@@ -480,7 +480,7 @@ class Identification(ByValue, html.Readable):
         Residual, compared with noise, once the inertia and the mobilisation of friction that nearly
         every drive shows are allowed for. Where that is more than noise, the model lacks something,
         and coefficients may be off by more than their standard errors.
-    foretold : Foretold, optional
+    cross_validation : CrossValidation, optional
         Error of energies that are predicted from the other drives, or from the rest of
         few drives; None where the drives took no energy.
     warnings : tuple of str
@@ -505,7 +505,7 @@ class Identification(ByValue, html.Readable):
     icr_covariance: FloatArray | None
     effective_samples: float
     adequacy: Adequacy
-    foretold: Foretold | None
+    cross_validation: CrossValidation | None
     warnings: tuple[str, ...]
     set_aside: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     run: RunEffect = field(default_factory=RunEffect)
@@ -536,7 +536,9 @@ class Identification(ByValue, html.Readable):
             f"{100 * left.energy_error:+.2f} %"
         )
         header = ("term", "symbol", "value", "standard error", "95 % interval", "unit")
-        seen = [f"unseen driving: {self.foretold.in_words}"] if self.foretold else []
+        seen = (
+            [f"unseen driving: {self.cross_validation.in_words}"] if self.cross_validation else []
+        )
         notes = [*seen, *html.set_aside(self.set_aside), *self.warnings]
         return [html.Summary(title, header, rows, notes)]
 
@@ -704,23 +706,7 @@ def identify(
     >>> abs(found.model.coefficient("traction_resistance") / 90.0 - 1) < 0.02
     True
     """
-    drives, warnings = without_copies(_drives(logs), [])
-    refuse_one_side(drives)
-    if not terms:
-        raise InvalidInputError("no terms to identify; give at least one")
-    if sum(log.duration for log in drives) < _SHORTEST:
-        raise InvalidInputError(
-            f"{drives[0].name}: less than {_SHORTEST:g} s of samples; record a drive"
-        )
-    if not any(np.any(log.power) for log in drives):
-        raise NotIdentifiableError(
-            f"{drives[0].name}: the measured power is zero throughout; check its channel"
-        )
-    if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
-        lost = {log.name: find_lost_sign(log.channels) for log in drives if log.signed is None}
-        warnings += [
-            f"{name}: {text}; if so, these terms are wrong" for name, text in lost.items() if text
-        ]
+    drives, warnings = _usable(logs, terms)
     estimate = _find_icr(drives, vehicle, icr, warnings)
     settled = icr if isinstance(icr, TreadICR) else estimate.icr if estimate else vehicle.icr
     vehicle = vehicle.with_icr(settled)
@@ -774,11 +760,11 @@ def identify(
     warnings += _draw_at_rest(ready, powers)
     wider = Wider.of(model, few)
     quality = adequacy(few, wider.residuals)
-    told = foretold(model, few)
-    warnings += _missing(quality, wider.moves, told)
+    validation = cross_validation(model, few)
+    warnings += _missing(quality, wider.moves, validation)
     aside = set_aside_by_drive(drives)
     return Identification(
-        model, method, icr_covariance, independent, quality, told, tuple(warnings), aside, run
+        model, method, icr_covariance, independent, quality, validation, tuple(warnings), aside, run
     )
 
 
@@ -791,17 +777,41 @@ def fit_residual(model: PowerModel, logs: DriveLog | Sequence[DriveLog]) -> Resi
 # -- parts --------------------------------------------------------------------------------------
 
 
-def _missing(left: Adequacy, moves: Sequence[str], left_out: Foretold | None) -> list[str]:
+def _usable(
+    logs: DriveLog | Sequence[DriveLog], terms: Sequence[Term]
+) -> tuple[list[DriveLog], list[str]]:
+    """Return the drives to identify terms from, each once, and warnings; refuse what shows none."""
+    drives, warnings = without_copies(_drives(logs), [])
+    refuse_one_side(drives)
+    if not terms:
+        raise InvalidInputError("no terms to identify; give at least one")
+    if sum(log.duration for log in drives) < _SHORTEST:
+        raise InvalidInputError(
+            f"{drives[0].name}: less than {_SHORTEST:g} s of samples; record a drive"
+        )
+    if not any(np.any(log.power) for log in drives):
+        raise NotIdentifiableError(
+            f"{drives[0].name}: the measured power is zero throughout; check its channel"
+        )
+    if not any(term.kind == "loss" for term in terms):  # which may be that of the sign
+        lost = {log.name: find_lost_sign(log.channels) for log in drives if log.signed is None}
+        warnings += [
+            f"{name}: {text}; if so, these terms are wrong" for name, text in lost.items() if text
+        ]
+    return drives, warnings
+
+
+def _missing(left: Adequacy, moves: Sequence[str], left_out: CrossValidation | None) -> list[str]:
     """Warn of a model that lacks something, and of how much: errors know of noise alone."""
     if moves:
-        told = f"inertia and the mobilisation of friction beside it move {' and '.join(moves)}"
+        what = f"inertia and the mobilisation of friction beside it move {' and '.join(moves)}"
     elif not left.adequate:
-        told = f"beside inertia it leaves {left.in_words}"
+        what = f"beside inertia it leaves {left.in_words}"
     else:
         return []
     size = "" if left_out is None else f", energies by some {100 * left_out.error:.2g} %"
     return [
-        f"the model lacks something: {told}. Coefficients may be off by more than their standard "
+        f"the model lacks something: {what}. Coefficients may be off by more than their standard "
         f"errors{size}; 'energyplan diagnose' with the same logs tells what is missing"
     ]
 

@@ -15,10 +15,10 @@ in which no task overtakes another: its stages are the last tasks done.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import pairwise
+from functools import cached_property, partial
+from itertools import pairwise, product
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -374,6 +374,16 @@ def alike(loads: FloatArray) -> tuple[FloatArray, FloatArray]:
     return loads[first], loads[[*(k - 1 for k in first[1:]), len(loads) - 1]]
 
 
+def _through(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
+    """Return at some places the polynomials through points; y has shape (n, ...)."""
+    others = ~np.eye(len(x), dtype=bool)
+    shares = [
+        np.prod([(at - b) / (a - b) for b in x[other]], axis=0)
+        for a, other in zip(x, others, strict=True)
+    ]
+    return np.asarray(np.tensordot(np.transpose(shares), y, axes=1))
+
+
 def _closed(energy: FloatArray) -> FloatArray | None:
     """Return the least energies from place to place over any others; None where nothing is least.
 
@@ -551,62 +561,167 @@ class Matrix:
         self._option = np.repeat(np.arange(len(each)), [len(ways) for ways in each])
         self._ways = [node for ways in each for node in ways]  # nodes of the options
         self.nodes = [state.node, *self._ways, *sim.stations]
-        self._ends = sim.ends
-        mission = sim.mission
-        change = np.array([mission.tasks[task].change for task in tasks])
-        low = max(state.payload + float(change[change < 0].sum()), 0.0)
-        high = state.payload + float(change[change > 0].sum())
-        self.exact = mission.order == "given" or len(tasks) <= EXACT
-        loads = loads_of(state.payload, change)
-        # few loads are priced each for itself; of many, some are, and the others lie in between
-        self._each = self.exact and len(alike(loads)[0]) < ORDERING.each
-        self._levels = np.linspace(low, high, 1 if low == high else ORDERING.levels)
+        self.exact = sim.mission.order == "given" or len(tasks) <= EXACT
+        self._change = np.array([sim.mission.tasks[task].change for task in tasks], float)
+        least, self._loads = alike(loads_of(state.payload, self._change))
+        # the lighter one bounds all orders; what cannot be carried is never reached
+        self._able = np.maximum(least if ideal else self._loads, 0.0)
         self._inflation = 1.0
         self._power = sim.legs.driving_power
-        self._cache: dict[tuple[float, bool], tuple[FloatArray, FloatArray]] = {}
         self._pace = pace
+        self._places = sorted({*self.nodes, *sim.ends})
+        self._at = {node: k for k, node in enumerate(self._places)}
+        self._inner = np.array([self._at[node] for node in self.nodes])
+        self._ends = np.array([self._at[node] for node in sim.ends])
+        size = len(self._places)
+        # of routes of least energy, then of least time; energies are NaN where none is planned
+        self._known = np.full((2, len(self._able), size, size), np.nan)
+        self._left = np.zeros(self._known.shape)  # charge to be left after each [J]
+        self._lasting = self._straight()
+        self._fill(
+            (i, j, quick)
+            for i, j in product(self._places, repeat=2)
+            for quick in (False, True)
+            if sim.legs.planned(i, j, quick)
+        )
 
     @property
     def true(self) -> bool:
         """Whether energies and times of an order are those of its legs at each payload."""
-        return len(self._levels) == 1 or (self._each and not self._sim.timed)
+        each = len(self._able) <= ORDERING.each or self._lighter
+        return len(self._able) == 1 or (self.exact and each and not self._sim.timed)
+
+    @property
+    def _lighter(self) -> bool:
+        """Whether no energy rises where the payload falls."""
+        return self._sim.mission.heights is None
 
     @property
     def bounds_loads(self) -> bool:
         """Whether no energy is less than that with the smallest payload."""
-        return len(self._levels) == 1 or self._sim.mission.heights is None
+        return len(self._able) == 1 or self._lighter
 
     # -- energies ---------------------------------------------------------------------------------
 
-    def _known(self, payload: float, hurried: bool) -> tuple[FloatArray, FloatArray]:
-        """Energies with one payload: those of the legs where planned, from below where not.
+    def _fill(self, routes: Iterable[tuple[int, int, bool]]) -> None:
+        """Take over energies, charges to be left and times of routes that are planned."""
+        legs, slower = (
+            self._sim.legs,
+            1.0 + self._late * self._sim.quantile * (self._sim.mission.spreads.speed),
+        )
+        for i, j, quick in routes:
+            a, b = self._at[i], self._at[j]
+            if np.isnan(self._known[int(quick), 0, a, b]):
+                priced = self._over_loads(partial(self._leg, i, j, quick))
+                self._known[int(quick), :, a, b], self._left[int(quick), :, a, b] = priced
+                duration = legs.leg(i, j, self._state.payload, quick).duration
+                self._lasting[int(quick), a, b] = slower * duration
 
-        Those of a way to a path include the drive along it. Beside them is the charge that must be
-        left after each, for its largest power.
+    def _leg(self, i: int, j: int, quick: bool, payload: float) -> Leg:
+        return self._sim.legs.leg(i, j, payload, quick)
+
+    def _over_loads(
+        self, price: Callable[[float], Leg], least: float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the energy of a drive with each payload, and the charge to be left after it [J].
+
+        The energy is a polynomial of the payload where the drive is timed alike: few payloads are
+        priced, and the others follow where one more agrees with them. `least` is what the drive
+        needs on board [kg].
         """
-        if (payload, hurried) not in self._cache:
-            legs = self._sim.legs
-            matrix = legs.lower_bounds(payload) * self._inflation
-            peak, later = np.zeros((2, *matrix.shape))
-            for i in {*self.nodes}:
-                for j in {*self.nodes, *self._ends}:
-                    # a route of least time takes no less than that of least energy
-                    for quick in (False, True) if hurried else (False,):
-                        if legs.planned(i, j, quick):
-                            leg = legs.leg(i, j, payload, quick)
-                            matrix[i, j] = self._priced(leg.energy)
-                            peak[i, j], later[i, j] = self._peak(leg)
-            floor = self._floor(peak) - later
-            for j, service in zip(self._ways, self._fixed["service"], strict=True):
-                if (row := legs.row(j, payload)) is not None:
-                    energy, (most, rest) = self._priced(row.energy), self._peak(row)
-                    matrix[:, j] += energy
-                    if np.isfinite(energy):
-                        last = float(self._floor(np.array([most]))[0]) - rest + service
-                        floor[:, j] = np.maximum(floor[:, j] - energy, last)
-            matrix[np.isinf(floor)] = np.inf
-            self._cache[payload, hurried] = matrix, np.maximum(floor, 0.0)
-        return self._cache[payload, hurried]
+        loads, same = np.unique(np.maximum(self._able, least), return_inverse=True)
+        known = dict[int, Leg]()
+
+        def felt(k: int) -> FloatArray:
+            if k not in known:
+                known[k] = price(float(loads[k]))
+            energy = known[k].energy
+            if self._caution and np.isfinite(energy.mean):
+                energy = self._sim.legs.from_battery(energy)
+            return np.array([energy.mean, energy.noise, *energy.sensitivity])
+
+        def between(first: int, last: int) -> FloatArray:
+            if last - first <= ORDERING.levels:
+                return np.array([felt(k) for k in range(first, last + 1)])
+            middle = (first + last) // 2
+            few = np.array([first, middle, last])
+            there = np.array([felt(k) for k in few.tolist()])
+            if np.isfinite(there).all():
+                found = _through(loads[few], there, loads[first : last + 1])
+                if not self.exact:
+                    return found
+                tried = (first + middle) // 2
+                now, then = felt(tried)[0], found[tried - first, 0]
+                if abs(now - then) <= ROUNDING * abs(then):
+                    return found
+            elif not self.exact:
+                return np.full((last - first + 1, there.shape[1]), np.inf)
+            return np.concatenate([between(first, middle)[:-1], between(middle, last)])
+
+        energies, few = between(0, len(loads) - 1), sorted(known)
+        spread = np.sqrt((energies[:, 2:] ** 2).sum(axis=1) + energies[:, 1])
+        prices = energies[:, 0] + self._caution * self._sim.quantile * spread
+        power, after = np.transpose([self._peak(known[k]) for k in few])
+        floors = self._floor(power) - after
+        below = np.searchsorted(few, np.arange(len(loads)), "right") - 1
+        left = floors[below]
+        if not self._ideal:
+            above = floors[np.searchsorted(few, np.arange(len(loads)))]
+            finite = np.isfinite(left) & np.isfinite(above)
+            between_them = np.interp(loads, loads[few], np.nan_to_num(floors, posinf=0.0))
+            left = np.where(finite, between_them, np.maximum(left, above))
+        return prices[same], left[same]
+
+    @cached_property
+    def _bounds(self) -> FloatArray:
+        """Energies that no route undercuts, with each payload, shape (L, P, P)."""
+        legs, grid, loads = self._sim.legs, np.ix_(self._places, self._places), self._able
+        few = len(loads) <= (ORDERING.each if self.exact else ORDERING.levels)
+        count = ORDERING.each if self.exact else ORDERING.levels
+        levels = loads if few else np.linspace(loads[0], loads[-1], count)
+        bounds = np.array([legs.lower_bounds(float(level))[grid] for level in levels])
+        if self.exact and self._lighter:
+            return np.asarray(bounds[np.searchsorted(levels, loads, "right") - 1])
+        blocked = np.isinf(bounds).any(axis=0)
+        found = _through(levels, np.where(blocked, 0.0, bounds), loads) if not few else bounds
+        return np.where(blocked, np.inf, found)
+
+    @cached_property
+    def _rows(self) -> dict[int, tuple[FloatArray, FloatArray]]:
+        """Energies of the drives along paths, and charges to be left, by place."""
+        found = {}
+        for k, node in zip(self._option, self._ways, strict=True):
+            if self._sim.legs.row(node, self._state.payload) is not None:
+                price = partial(self._row, node)
+                found[self._at[node]] = self._over_loads(price, max(-self._change[k], 0.0))
+        return found
+
+    def _row(self, node: int, payload: float) -> Leg:
+        row = self._sim.legs.row(node, payload)
+        assert row is not None
+        return row
+
+    def _between(self) -> tuple[FloatArray, FloatArray]:
+        """Energies from place to place, and charges to be left after each; (M, L, P, P).
+
+        Those of a way to a path include the drive along it. A route of least time takes no less
+        than that of least energy.
+        """
+        count = len(self._sim.ways)
+        known, left = self._known[:count].copy(), self._left[:count].copy()
+        for way in range(1, count):
+            unknown = np.isnan(known[way])
+            known[way] = np.where(unknown, known[0], known[way])
+            left[way] = np.where(unknown, left[0], left[way])
+        energy = np.where(np.isnan(known), self._inflation * self._bounds, known)
+        service = dict(zip(self._ways, self._fixed["service"], strict=True))
+        for j, (more, after) in self._rows.items():
+            energy[..., j] += more[:, None]
+            last = after + service[self._places[j]]
+            before = left[..., j] - np.where(np.isfinite(more), more, 0.0)[:, None]
+            left[..., j] = np.maximum(before, last[:, None])
+        energy[np.isinf(left)] = np.inf
+        return energy, np.maximum(left, 0.0)
 
     def _peak(self, leg: Leg) -> tuple[float, float]:
         """Return the largest power of a drive [W], and the energy that it takes after it [J]."""
@@ -637,53 +752,14 @@ class Matrix:
         felt = self._sim.legs.from_battery(energy)
         return felt.upper(self._caution * self._sim.quantile)
 
-    def _floors(self, payload: float, hurried: bool) -> FloatArray:
-        """Charges to be left after each way and its task; with any payload where levels differ."""
-        if self._each:
-            ways = self._known(round(payload, 6), hurried)[1]
-        else:
-            known = [self._known(float(level), hurried)[1] for level in self._levels]
-            ways = np.min(known, axis=0) if self._ideal else np.max(known, axis=0)
-        floor, n = ways[np.ix_(self.nodes, self.nodes)], len(self._ways)
-        done = floor[:, 1 : 1 + n] - self._fixed["service"]
-        floor[:, 1 : 1 + n] = np.maximum(done, self._of_tasks)
-        return np.asarray(floor)
-
-    def _all(self, payload: float, hurried: bool = False) -> FloatArray:
-        """Energies with any payload, interpolated between the levels."""
-        if self._each:
-            return self._known(round(payload, 6), hurried)[0]
-        levels = self._levels
-        if len(levels) == 1:
-            return self._known(float(levels[0]), hurried)[0]
-        weights = np.ones(len(levels))
-        for k, level in enumerate(levels):
-            for other in np.delete(levels, k):
-                weights[k] *= (payload - other) / (level - other)
-        known = [self._known(float(level), hurried)[0] for level in levels]
-        blocked = np.any([~np.isfinite(m) for m in known], axis=0)
-        total = sum(w * np.where(blocked, 0.0, m) for w, m in zip(weights, known, strict=True))
-        return np.where(blocked, np.inf, np.asarray(total))
-
-    def _energy(self, payload: float, hurried: bool = False) -> FloatArray:
-        return np.asarray(self._all(payload, hurried)[np.ix_(self.nodes, self.nodes)])
-
-    def _finish(self, payload: float) -> FloatArray:
-        return np.asarray(self._all(payload)[np.ix_(self.nodes, self._ends)].min(axis=1))
-
-    def _times(self, hurried: bool = False) -> FloatArray:
-        """Return the times between places: straight on at full speed where no route is planned."""
-        legs, payload = self._sim.legs, self._state.payload
-        speed = legs.scene(payload).cost.admissible_speed(0.0)
-        starts, goals = np.array(legs.exits)[:, :2], np.array(legs.poses)[:, :2]
+    def _straight(self) -> FloatArray:
+        """Return the times between places straight on at full speed, for both kinds of routes."""
+        legs = self._sim.legs
+        speed = legs.scene(self._state.payload).cost.admissible_speed(0.0)
+        starts, goals = (np.array(ends)[self._places, :2] for ends in (legs.exits, legs.poses))
         distance = np.linalg.norm(starts[:, None] - goals[None], axis=-1)
-        times: FloatArray = np.asarray(distance / float(speed), float)
-        for i in {*self.nodes}:
-            for j in {*self.nodes, *self._ends}:
-                if legs.planned(i, j, hurried):
-                    times[i, j] = legs.leg(i, j, payload, hurried).duration
         slower = self._sim.quantile * self._sim.mission.spreads.speed
-        return np.asarray(times * (1.0 + self._late * slower))
+        return np.array([distance / float(speed) * (1.0 + self._late * slower)] * 2)
 
     # -- the problem ------------------------------------------------------------------------------
 
@@ -745,28 +821,28 @@ class Matrix:
         sim, mission, state = self._sim, self._sim.mission, self._state
         tasks = [mission.tasks[k] for k in self._tasks]
         reserve = self._stored(mission.reserve, mission.reserve)
-        inner = np.ix_(self.nodes, self.nodes)
+        here = self._inner[:, None]
         late = self._late * sim.quantile * state.time_spread
-        change = np.array([task.change for task in tasks], float)
-        least, loads = alike(loads_of(state.payload, change))
-        # the lighter one bounds all orders; what cannot be carried is never reached
-        able = np.maximum(least if self._ideal else loads, 0.0).tolist()
+        energy, left = (np.swapaxes(one, 0, 1) for one in self._between())
+        floor, options = left[..., here, self._inner], slice(1, 1 + len(self._ways))
+        floor[..., options] -= self._fixed["service"]
+        floor[..., options] = np.maximum(floor[..., options], self._of_tasks)
         return OrderProblem(
             **self._fixed,
             option=self._option,
-            loads=loads,
-            energy=np.array([[self._energy(load, way) for way in sim.ways] for load in able]),
-            finish=np.array([self._finish(load) for load in able]),
-            time=np.array([self._times(way)[inner] for way in sim.ways]),
-            finish_time=self._times()[np.ix_(self.nodes, self._ends)].min(axis=1),
+            loads=self._loads,
+            energy=energy[..., here, self._inner],
+            finish=energy[:, 0][..., here, self._ends].min(axis=-1),
+            time=self._lasting[: len(sim.ways)][..., here, self._inner],
+            finish_time=self._lasting[0][here, self._ends].min(axis=-1),
             payload=state.payload,
-            change=change,
+            change=self._change,
             prize=prizes(tasks),
             window=np.array([task.window for task in tasks], float).reshape(-1, 2),
             budget=self._scale * (self._stored(state.expected.soc, state.worst.soc) - reserve),
             capacity=self._chargers[0],
             charge_power=self._chargers[1],
-            floor=np.array([[self._floors(load, way) for way in sim.ways] for load in able]),
+            floor=floor,
             start_time=state.time + late,
             full=self._scale * (self._stored(1.0, 1.0) - reserve),
             given=mission.order == "given",
@@ -783,35 +859,38 @@ class Matrix:
 
     # -- routes -----------------------------------------------------------------------------------
 
-    def used(self, order: Order) -> list[tuple[int, int, bool]]:
+    def used(self, problem: OrderProblem, order: Order) -> list[tuple[int, int, bool]]:
         """Routes that an order uses and whether in a hurry, the way to its end included."""
-        here, tasks = [0, *order.stops], self._sim.mission.tasks
-        done = (self._tasks[self._option[s - 1]] for s in order.stops if s <= len(self._ways))
-        carried = sum(tasks[k].change for k in done)
-        payload = float(np.clip(self._state.payload + carried, *self._levels[[0, -1]]))
-        finish = self._all(payload)[self.nodes[here[-1]], self._ends]
+        here = [0, *order.stops]
+        done = [self._option[s - 1] for s in order.stops if s <= len(self._ways)]
+        load = problem.at(self._state.payload + self._change[done].sum())
+        finish = self._between()[0][0, load][self._inner[here[-1]], self._ends]
         places = [self.nodes[k] for k in here]
         return [
             *((i, j, quick) for (i, j), quick in zip(pairwise(places), order.hurried, strict=True)),
-            (places[-1], self._ends[int(finish.argmin())], False),
+            (places[-1], self._sim.ends[int(finish.argmin())], False),
         ]
 
     def plan(self, wanted: Sequence[tuple[int, int, bool]]) -> None:
         """Plan some routes."""
-        legs, payload, ratios = self._sim.legs, float(self._levels[-1]), []
-        bounds = legs.lower_bounds(payload)
+        legs, payload, ratios = self._sim.legs, float(self._able[-1]), []
         for i, j, quick in wanted:
-            leg = legs.leg(i, j, payload, quick)
-            if np.isfinite(leg.energy.mean) and bounds[i, j] > 0:
-                ratios.append(self._priced(leg.energy) / bounds[i, j])
+            leg, bound = self._leg(i, j, quick, payload), self._bounds[-1, self._at[i], self._at[j]]
+            if np.isfinite(leg.energy.mean) and bound > 0:
+                ratios.append(self._priced(leg.energy) / bound)
+        both = [*wanted, *((j, i, quick) for i, j, quick in wanted)]  # one plan may serve both
+        self._fill(one for one in both if legs.planned(*one))
         if not self.exact and ratios:
             # a search cannot wait for all bounds to become true: let them be typical instead
             self._inflation = float(np.median(ratios))
-        self._cache.clear()
 
-    def missing(self, order: Order) -> list[tuple[int, int, bool]]:
+    def missing(self, problem: OrderProblem, order: Order) -> list[tuple[int, int, bool]]:
         """Return the routes of an order that are not planned."""
-        return [one for one in self.used(order) if not self._sim.legs.planned(*one)]
+        return [
+            (i, j, quick)
+            for i, j, quick in self.used(problem, order)
+            if np.isnan(self._known[int(quick), 0, self._at[i], self._at[j]])
+        ]
 
     def solved(self, progress: Progress) -> Order:
         """Solve and plan the routes of the answer until it uses planned routes only.
@@ -820,8 +899,9 @@ class Matrix:
         """
         order, missing = Order(), []
         for turn in range(ORDERING.rounds if self.exact else ORDERING.few_rounds):
-            order = solve(self.problem())
-            missing = self.missing(order)
+            problem = self.problem()
+            order = solve(problem)
+            missing = self.missing(problem, order)
             if progress is not None:
                 progress(
                     f"order {turn + 1}: {len(order.stops)} stops, {order.energy / 3600:.1f} Wh, "
@@ -845,7 +925,7 @@ def attempt(sim: Simulation, state: Status, task: int) -> Attempt:
     found = best_stops(sim, state, (task,))
     ways = sim.legs.ways(task)
     for at in (k for k, stop in enumerate(found.stops) if stop in ways):
-        ready, _ = sim.follow(state, found.stops[:at], found.hurried[:at], found.stops[at])
+        ready, _ = sim.follow(state, found.stops[:at], found.hurried[: at + 1], found.stops[at])
         done = best if ready is None else sim.attempt(ready, found.stops[at], found.hurried[at])
         if done.reason == "none":
             return done

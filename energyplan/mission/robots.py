@@ -116,7 +116,7 @@ class Sharing:
             given, _ = shared(problems, self.prize, able)
             missing = 0
             for matrix, one, mine, tasks in zip(matrices, problems, able, given, strict=True):
-                wanted = matrix.missing(_priced(one, [mine.index(task) for task in tasks]))
+                wanted = matrix.missing(one, _priced(one, [mine.index(task) for task in tasks]))
                 missing += len(wanted)
                 matrix.plan(wanted)
             if self.progress is not None:

@@ -18,11 +18,11 @@ from scipy.sparse.csgraph import dijkstra
 from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.cost.speeds import CHEAPEST
-from energyplan.errors import InfeasibleMotionError, PlanningError, TimeLimitError
+from energyplan.errors import InfeasibleMotionError, MissionError, PlanningError, TimeLimitError
 from energyplan.mission.energy import Consumption, Estimate, Models
 from energyplan.mission.supply import Gauge, Supply
 from energyplan.mission.types import Mission, Option, blocked
-from energyplan.path import FloatArray, Path, Pose, Trajectory, wrap_angle
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, Trajectory, wrap_angle
 from energyplan.planning import PlanningProblem, find, plan
 from energyplan.planning.budget import EFFORT
 from energyplan.planning.driven import drive_path
@@ -519,7 +519,7 @@ class Legs:
         scene, key = self.scene(payload), (path, hurried)
         if not trouble and len(path):
             try:
-                trajectory = self._shared(scene, key, lambda: scene.drive(path, hurried))
+                trajectory = self._timed(path, payload, hurried)
                 priced = self._once(
                     (self.models, payload, scene, *key),
                     lambda: self.models.priced(trajectory, payload),
@@ -528,6 +528,36 @@ class Legs:
             except InfeasibleMotionError as error:
                 trouble, detail = "motor", str(error)
         return _no_drive(path, trouble, detail, self.models)
+
+    def _timed(self, path: Path, payload: float, hurried: bool) -> Trajectory:
+        """Return how a path is driven with a payload [kg]."""
+        low, high = self._range
+        if low < payload < high:
+            trajectory = self._once((path, hurried, low, high), lambda: self._alike(path, hurried))
+            if trajectory is not None:
+                return trajectory
+        scene = self.scene(payload)
+        return self._shared(scene, (path, hurried), lambda: scene.drive(path, hurried))
+
+    def _alike(self, path: Path, hurried: bool) -> Trajectory | None:
+        """Return the one drive of a path with all payloads; None where it may depend on them.
+
+        What the wanted speed and the acceleration limit with the least and the greatest payload,
+        they limit with those between.
+        """
+        try:
+            least, most = (self._timed(path, payload, hurried) for payload in self._range)
+        except (InfeasibleMotionError, MissionError):
+            return None
+        same = len(least) == len(most) and np.allclose(least.t, most.t, rtol=ROUNDING, atol=0.0)
+        return most if same else None
+
+    @cached_property
+    def _range(self) -> tuple[float, float]:
+        """The least and the greatest payload that there may be [kg]."""
+        payload, change = self.mission.payload, [task.change for task in self.mission.tasks]
+        low, high = (payload + sum(part) for part in (np.minimum(change, 0), np.maximum(change, 0)))
+        return max(float(low), 0.0), float(high)
 
 
 def _no_drive(path: Path, trouble: str, detail: str, models: Models) -> Leg:

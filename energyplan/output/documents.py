@@ -45,7 +45,7 @@ SHOWN = {
     "Explanation": "effects probability",
     "FeasibilityReport": "feasible max_speed_scale energy duration reason violations",
     "ICREstimate": "turning source",
-    "Identification": "residual adequacy foretold set_aside warnings",
+    "Identification": "residual adequacy cross_validation set_aside warnings",
     "MissionReport": "headline order route energy energy_upper soc_end soc_end_lower end duration "
     "feasible chargers timetable proven gap warnings remedies time_saved uncertainty alternatives",
     "NoPathError": "certainty resolution",

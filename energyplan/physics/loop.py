@@ -41,8 +41,9 @@ ALIKE = 0.02
 
 
 def replayed_energy(model: PowerModel, log: DriveLog) -> float:
-    """Return the energy that a model predicts for the motion of a log [J]."""
-    return float(log.weights @ model.battery_side().power(log.motion(model.vehicle.icr)))
+    """Return the energy that a model predicts for a log, freed of noise as in a fit [J]."""
+    prepared = Drive.of(log, model.vehicle)
+    return float(prepared.weights @ model.battery_side().power(prepared.motion))
 
 
 class Steered(NamedTuple):
@@ -63,9 +64,14 @@ def ratio(
     drive: Steered, model: PowerModel, priced: PlanningProblem, heights: HeightMap | None
 ) -> float:
     """Return the energy that a drive took, over what a model says of it."""
-    icr = model.vehicle.icr
+    icr, law = model.vehicle.icr, priced.cost.model
     apart = np.subtract(astuple(icr), astuple(drive.icr))
-    predicted = predicted_energy(drive.reference, priced)
+    # A tread that was to stand stands with the ICRs that it was steered by; with others it creeps,
+    # against all of its resistance.
+    as_steered = replace(law, vehicle=law.vehicle.with_icr(drive.icr))
+    predicted = predicted_energy(
+        drive.reference, replace(priced, cost=replace(priced.cost, model=as_steered))
+    )
     if np.abs(apart).max() > ALIKE * icr.half_track:
         on_slopes = model if heights is None else with_weight(model)
         with suppress(MissingChannelError):  # a sensor less than the model asks for
@@ -288,14 +294,7 @@ def close_loop(
     progress: Progress | None = None,
 ) -> Loop:
     """Plan, drive, diagnose with all logs so far, and plan again."""
-    if rounds < 1 or not tolerance >= 0 or not survey >= 0:
-        raise InvalidInputError(
-            f"rounds is {rounds}, tolerance {tolerance} and survey {survey}; give rounds >= 1, and "
-            "neither of the others below 0"
-        )
-    count = rounds if isinstance(source, EngineDrives) else min(rounds, len(source))
-    if count == 0:
-        raise InvalidInputError("there is no log to close the loop with; give one or more")
+    count = _count(source, rounds, tolerance, survey)
     report = progress or (lambda fraction, text: None)
     model = problem.cost.model
     base = problem.vehicle or problem.cost.vehicle
@@ -328,22 +327,20 @@ def close_loop(
             steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
-            motion, weights = log.motion(model.vehicle.icr), log.weights
+            prepared = Drive.of(log, model.vehicle)
+            motion, weights = prepared.motion, prepared.weights
             energy = replayed_energy(model, log)
             known = [one.energy / replayed_energy(model, one) for one in logs]
         # Only of a model that has learned from them do drives say how it fares with the next.
         beyond = RunEffect.of(known if model is not problem.cost.model else (), model.residual)
-        told = with_interval(energy, beyond, model, motion, weights)
-        energy *= 1.0 + beyond.mean
-        within = None if told is None else told[1:]
+        interval = with_interval(energy, beyond, model, motion, weights)
         logs.append(log)
         now = Round(
-            energy, within, log.energy, planned, model, (), log, driven, overhead=beyond.mean
-        )
-        right = now.within or abs(now.error) <= tolerance
-        if right:
-            done.append(now)
-            return Loop(tuple(done), model, True)
+            energy * (1.0 + beyond.mean), None if interval is None else interval[1:], log.energy,
+            planned, model, (), log, driven, overhead=beyond.mean,
+        )  # fmt: skip
+        if now.within or abs(now.error) <= tolerance:
+            return Loop((*done, now), model, True)
         report((k + 0.6) / count, f"round {k + 1}: diagnosing")
         learned = learn(logs, base)
         if isinstance(source, EngineDrives) and survey and not any(r.survey for r in done):
@@ -359,6 +356,19 @@ def close_loop(
         model = learned.model or model
         done.append(replace(now, effects=learned.effects, note=learned.note))
     return Loop(tuple(done), model, False)
+
+
+def _count(source: Source, rounds: int, tolerance: float, survey: float) -> int:
+    """Return how many rounds there are; refuse options that no loop has."""
+    if rounds < 1 or not tolerance >= 0 or not survey >= 0:
+        raise InvalidInputError(
+            f"rounds is {rounds}, tolerance {tolerance} and survey {survey}; give rounds >= 1, and "
+            "neither of the others below 0"
+        )
+    count = rounds if isinstance(source, EngineDrives) else min(rounds, len(source))
+    if count == 0:
+        raise InvalidInputError("there is no log to close the loop with; give one or more")
+    return count
 
 
 def _survey(

@@ -50,3 +50,16 @@ def test_names_are_right_near_or_false(
     said = foreign.Said(1, cause, names, "effect_found", 0.1, 0.1, True, 1.0)
     assert (said.right, said.false) == (right, false)
     assert "robots" in foreign.report([said])
+
+
+@pytest.mark.parametrize("seed", by_day([8_800_000, 8_800_002, 8_800_004], [8_800_002]))
+def test_a_name_next_to_the_cause_explains_no_dependence_that_is_left(seed: int) -> None:
+    """Friction rises with the load of the outer side, and is named as one by slip speed."""
+    said = foreign.said_of(seed, "transfer")
+    assert said.names
+    assert said.verdict == "unexplained"
+
+
+def test_a_load_that_the_catalogue_has_is_found() -> None:
+    said = foreign.said_of(8_800_003, "hotel")
+    assert (said.verdict, said.names) == ("effect_found", ("hotel_load",))

@@ -95,7 +95,7 @@ def test_what_is_missed_is_what_fits_without_it_miss() -> None:
         power = {name: (1.0 + 0.1 * k) * log.channel(name) for name in ("p_left", "p_right")}
         logs.append(DriveLog({**log.channels, **power}, f"drive {k}"))
     found = identify(logs, MODEL.vehicle, icr="vehicle", method="huber")
-    assert found.foretold is not None
+    assert found.cross_validation is not None
     refits = [
         identify([one for one in logs if one is not log], MODEL.vehicle, icr="vehicle",
                  method="huber").model
@@ -105,11 +105,11 @@ def test_what_is_missed_is_what_fits_without_it_miss() -> None:
         abs(fit_residual(model, log).energy_error)
         for model, log in zip(refits, logs, strict=True)
     ]  # fmt: skip
-    assert (found.foretold.left_out, found.foretold.count) == ("drive", 4)
-    assert found.foretold.duration == pytest.approx(40.0, abs=1.0)
-    assert found.foretold.error == pytest.approx(np.mean(errors), rel=0.15)
-    assert found.foretold.largest == pytest.approx(max(errors), rel=0.15)
-    assert found.foretold.largest > 0.1  # the spread that was put in, and more than is left
+    assert (found.cross_validation.left_out, found.cross_validation.count) == ("drive", 4)
+    assert found.cross_validation.duration == pytest.approx(40.0, abs=1.0)
+    assert found.cross_validation.error == pytest.approx(np.mean(errors), rel=0.15)
+    assert found.cross_validation.largest == pytest.approx(max(errors), rel=0.15)
+    assert found.cross_validation.largest > 0.1  # the spread that was put in, and more than is left
 
 
 def test_a_model_that_lacks_nothing_foretells_and_one_that_lacks_something_says_how_much() -> None:
@@ -118,17 +118,17 @@ def test_a_model_that_lacks_nothing_foretells_and_one_that_lacks_something_says_
         identify(simulate.identification_drive(model, seed=1, **NOISE), MODEL.vehicle)
         for model in (MODEL, cold)
     )
-    assert warm.foretold is not None
-    assert warming.foretold is not None
-    assert (warm.foretold.left_out, warm.foretold.count) == ("stretch", 5)
-    assert warm.foretold.error < 0.01 < 0.03 < warming.foretold.error
-    size = f"energies by some {100 * warming.foretold.error:.2g} %"
+    assert warm.cross_validation is not None
+    assert warming.cross_validation is not None
+    assert (warm.cross_validation.left_out, warm.cross_validation.count) == ("stretch", 5)
+    assert warm.cross_validation.error < 0.01 < 0.03 < warming.cross_validation.error
+    size = f"energies by some {100 * warming.cross_validation.error:.2g} %"
     assert any(size in text for text in warming.warnings), warming.warnings
 
 
-def test_drives_that_are_one_motion_only_are_foretold_too() -> None:
+def test_drives_that_are_one_motion_only_are_cross_validated_too() -> None:
     """Without turning there is no column of slip to fit; with one sample a stretch, no error."""
     log = simulate.drive(MODEL, (("straight", 30.0),), seed=1, **NOISE)
     found = fit.identify(log, MODEL.vehicle, terms=[effects.term("traction_resistance")])
-    assert found.foretold is not None
-    assert found.foretold.error < 0.02
+    assert found.cross_validation is not None
+    assert found.cross_validation.error < 0.02

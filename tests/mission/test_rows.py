@@ -177,6 +177,46 @@ def test_rows_are_done_in_the_best_of_all_orders_and_directions() -> None:
     assert again["given"] > 1.05 * given.energy
 
 
+def best_with_a_tank(asked: Mission, legs: Legs) -> float:
+    """Least energy of all orders and directions, each drive with what is on board then."""
+    least, n = np.inf, len(asked.tasks)
+    for order in permutations(range(n)):
+        for sides in product(range(2), repeat=n):
+            here, load, energy = 0, asked.payload, 0.0
+            for k in order:
+                node = 1 + 2 * k + sides[k]
+                row = legs.row(node, load)
+                assert row is not None
+                energy += legs.leg(here, node, load).energy.mean + row.energy.mean
+                here, load = node, load + asked.tasks[k].change
+            least = min(least, energy + legs.leg(here, 0, load).energy.mean)
+    return least
+
+
+@pytest.mark.parametrize("middle", [(), (25.0,)])
+def test_few_loads_are_priced_and_the_order_is_the_best_at_all_of_them(
+    middle: tuple[float, ...],
+) -> None:
+    """Four rows of different lengths leave 16 loads; models of two loads, and of three."""
+    models = {load: replace(MODEL, coefficients=(1.0 + 0.01 * load) * MODEL.coefficients)
+              for load in (60.0,)}  # fmt: skip
+    models |= {load: replace(MODEL, coefficients=1.1 * MODEL.coefficients) for load in middle}
+    tasks = [
+        row(f"row {k}", 4.0 + 1.5 * k, 4.0 + 0.37 * k, 16.0 - 0.81 * k**2, payload_per_metre=-1.0)
+        for k in range(4)
+    ]
+    asked = mission(
+        tasks, order="free", payload=60.0, payload_models={MODEL.name: models}, planning_effort=200
+    )
+    routes, lines = Routes(), list[str]()
+    report = evaluate(asked, lines.append, routes=routes)
+    assert report.proven and not report.left_out
+    planned = sum(line.startswith("planning") for line in lines)
+    assert len(routes) < 20 * planned  # routes and drives, those along the rows among them
+    best = best_with_a_tank(asked, Legs(asked, routes=routes))
+    assert report.energy == pytest.approx(best, rel=1e-9)
+
+
 def test_a_given_order_enters_each_row_at_its_better_end() -> None:
     tasks = [row("one", 4.0), row("two", 6.0), row("three", 8.0)]
     found = evaluate(mission(tasks), routes=ROUTES)

@@ -163,6 +163,18 @@ def test_a_curve_is_read_with_units() -> None:
     assert dock.power == ((0.0, 400.0), (1.0, 50.0))
 
 
+def test_a_task_that_gives_way_to_another_one_may_need_a_charge_that_ends_when_it_is_enough() -> (
+    None
+):
+    small = at("A", 10, dwell=3600, power=100.0, required=False, prize=1)
+    large = at("B", 10, dwell=3600, power=100.0, required=False, prize=2, window=(0.0, 4000.0))
+    asked = docked(150.0, small, large, soc=0.3, order="given")
+    dock = replace(asked.chargers[0], enough=True)
+    report = evaluate(replace(asked, chargers=(dock,)))
+    assert report.task("B").verdict == "reachable"
+    assert report.task("A").reason == "blocked_by_earlier"
+
+
 def test_a_robot_leaves_a_charger_when_it_has_enough() -> None:
     """The least charge with which it is feasible, to a hundredth, and in time for a window."""
     asked = docked(150.0, at("A", 10, dwell=3600, power=100.0), soc=0.3)

@@ -242,3 +242,29 @@ def test_a_clearance_counts_once() -> None:
     problem = replace(PROBLEM, clearance=0.1)
     asked = believed(believed(problem, MODEL, 0.5), MODEL, 0.5)
     assert np.array_equal(asked.robot.footprint, problem.robot.footprint)
+
+
+def test_a_tread_that_stood_does_not_creep_once_the_slip_track_is_known_better() -> None:
+    """A creeping tread would push with all of its resistance, and its motor heat."""
+    lossy = MODEL.with_term(term("copper_loss"), 1e-3)
+    t, rate = np.linspace(0.0, 10.0, 201), 0.4
+    speed = rate * ICR.half_track  # the left tread stands
+    yaw = rate * t
+    asked = ep.Trajectory(
+        t, speed / rate * np.sin(yaw), speed / rate * (1.0 - np.cos(yaw)), yaw,
+        np.full(len(t), speed), np.full(len(t), rate),
+    )  # fmt: skip
+    log = simulate.drive(lossy, "figure8", duration=20.0)
+    known = loop.ratio(Steered(asked, log, ICR), lossy, believed(PROBLEM, lossy, 0.5), None)
+    wider = replace(ICR, left=1.001 * ICR.left, right=1.001 * ICR.right)
+    learned = replace(lossy, vehicle=VEHICLE.with_icr(wider))
+    told = loop.ratio(Steered(asked, log, ICR), learned, believed(PROBLEM, learned, 0.5), None)
+    assert told == pytest.approx(known, rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_of_the_speeds_on_a_straight_heats_no_motor(seed: int) -> None:
+    """Noise has the treads turn all the time, which would take friction from either side."""
+    lossy = MODEL.with_term(term("copper_loss"), 1e-3)
+    log = simulate.validation_drive(lossy, speed_noise=0.004, seed=seed)
+    assert loop.replayed_energy(lossy, log) == pytest.approx(log.energy, rel=0.01)

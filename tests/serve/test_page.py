@@ -99,14 +99,19 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield at
 
 
+DONE = "#verdicts tr:not(.total)"
+"""Rows of what is done, without those of totals."""
+
+
 class Opened:
     """A page, with what went wrong on it and what it loaded from elsewhere."""
 
     def __init__(
         self, browser: Any, address: str, width: int, scheme: str = "light",
-        surfaces: str | None = "warehouse_surfaces.geojson",
+        surfaces: str | None = "warehouse_surfaces.geojson", locale: str = "en-GB",
     ) -> None:  # fmt: skip
-        self.page = browser.new_page(viewport={"width": width, "height": 850}, color_scheme=scheme)
+        size = {"width": width, "height": 850}
+        self.page = browser.new_page(viewport=size, color_scheme=scheme, locale=locale)
         self.errors: list[str] = []
         self.elsewhere: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -137,17 +142,21 @@ class Opened:
 
     def hours(self) -> list[float]:
         """Return when what was done began, and when the mission ended."""
-        times = self.page.locator("#verdicts tr td:nth-child(2)").all_inner_texts()
+        times = self.page.locator(f"{DONE} td:nth-child(2)").all_inner_texts()
         return [int(text.partition(":")[0]) + int(text.partition(":")[2]) / 60 for text in times]
 
     def robot(self) -> str:
         """Return how the disc of the robot is drawn, which says where it is."""
         return self.page.locator("path.robot").get_attribute("d")
 
+    def ring(self, name: str) -> Any:
+        """Return the handle by which a pose is turned."""
+        return self.page.locator(f"[data-hint=heading_of][data-name='{name}']")
+
     def route(self) -> str:
         """Place start and goal, and return the energy that is told."""
         self.click(0.25, 0.75)
-        self.page.wait_for_selector("text=Now click where the goal is")
+        self.page.wait_for_selector(".pin")
         self.click(0.72, 0.42)
         self.page.wait_for_selector("#answer table", timeout=120_000)
         return self.page.inner_text("#answer .big")
@@ -193,8 +202,16 @@ def test_a_change_plans_again_and_a_wrong_one_is_said_in_words(browser: Any, add
     assert "no:such:model" in opened.page.inner_text("#status")
 
 
+def lightly(route: Any) -> None:
+    """Let a mission go on with little effort for its routes."""
+    asked = route.request.post_data_json
+    asked["document"]["planning_effort"] = 1000
+    route.continue_(post_data=json.dumps(asked))
+
+
 def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     opened = Opened(browser, address, 1300)
+    opened.page.route("**/api/mission", lightly)
     opened.click(0.25, 0.75)
     opened.page.click("#tab-mission")
     opened.page.fill("input[name=pack]", "quadriga")
@@ -203,10 +220,10 @@ def test_tasks_get_verdicts_and_a_charge(browser: Any, address: str) -> None:
     opened.page.click("text=Will it last?")
     opened.page.wait_for_selector("#verdicts table, #status.bad", timeout=120_000)
     assert "tasks can be done" in opened.page.inner_text("#status")
-    assert opened.page.locator("#verdicts tr").count() == 4
+    assert opened.page.locator(DONE).count() == 4
     hours = opened.hours()
     assert hours == sorted(hours)
-    names = opened.page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+    names = opened.page.locator(f"{DONE} td:nth-child(1)").all_inner_texts()
     assert names == [
         "task 2",
         "task 1",
@@ -276,14 +293,14 @@ def test_the_mission_that_was_prepared_is_opened_changed_and_answered(
     as_it_is = yaml.safe_load(ROUND)
     assert sent.pop() == {"mission": "north/round.yaml", "document": as_it_is}
     before = page.inner_text("#verdicts")
-    assert "hall: out of reach; the battery does not last. With the way back to " in before
+    assert "hall: out of reach; the battery does not last. With the way back it takes " in before
     assert "Wh more than there is above the reserve. Remedy: " in before
     assert re.search(r"\d J|no_path|out of reach: ", before) is None
-    names = page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+    names = page.locator(f"{DONE} td:nth-child(1)").all_inner_texts()
     hours = opened.hours()
     assert hours == sorted(hours) and names[-1] == "end, at start" and {"pump", "meter"} < {*names}
     assert hours[0] >= 1.0  # on the clock of the mission, which begins at one
-    assert page.locator("#verdicts tr:last-child td:nth-child(4)").inner_text() == "–"  # no energy
+    assert page.locator(f"{DONE} td:nth-child(4)").last.inner_text() == "–"  # no energy
     page.locator("[title='2'].leaflet-marker-icon").focus()
     page.keyboard.press("Shift+ArrowUp")
     assert page.locator("#verdicts.stale").count() == 1
@@ -324,11 +341,17 @@ def test_a_mission_of_several_robots_is_opened_changed_and_answered(
         assert asked["robots"][1].pop("start")[:2] == pytest.approx([2.4, 8.0])
         del plain["robots"][1]["start"]
         assert asked["robots"] == plain["robots"] and "start" not in asked
-        names = page.locator("#verdicts tr td:nth-child(1)").all_inner_texts()
+        names = page.locator(f"{DONE} td:nth-child(1)").all_inner_texts()
         assert {name.partition(":")[0] for name in names} == {"alpha", "beta", "gamma"}
         assert {"alpha: end, at start", "gamma: scan the far shelf"} < {*names}
-        assert re.search(
-            r"alpha takes [\d.]+ Wh, beta .* Wh\. The whole", page.inner_text("#verdicts")
+        totals = page.locator("#verdicts tr.total").all_inner_texts()
+        assert [one.split("\t")[0] for one in totals] == [
+            "alpha: total", "beta: total", "gamma: total", "total",
+            "total, at the confidence asked for",
+        ]  # fmt: skip
+        energies = [float(one.split("\t")[-2].removesuffix(" Wh")) for one in totals]
+        assert (
+            sum(energies[:3]) == pytest.approx(energies[3], abs=0.01) and energies[3] < energies[4]
         )
         hours = opened.hours()
         assert hours == sorted(hours)
@@ -430,3 +453,75 @@ def test_paths_are_drawn_as_lines_and_asked_for_as_they_are(browser: Any, tmp_pa
         assert west["path"] == [[1.2, 2.5], [1.2, 4.5]] and west["power"] == 30
         assert (other["direction"], other["speed"]) == ("given", 0.3)
         assert (opened.errors, opened.elsewhere) == ([], [])
+
+
+PAGE = ROOT / "energyplan" / "serve" / "page"
+TEXTS = {file.stem: json.loads(file.read_text("utf-8")) for file in PAGE.glob("texts/*.json")}
+
+
+def test_a_click_is_a_place_and_its_ring_gives_a_heading(browser: Any, address: str) -> None:
+    opened = Opened(browser, address, 1300)
+    page, sent = opened.page, list[Any]()
+    page.on("request", lambda one: sent.append(one.post_data_json) if one.post_data else None)
+    free = float(opened.route().removesuffix(" Wh"))
+    assert len(sent.pop()["goal"]) == 2
+    assert "arrives at the heading" in page.inner_text("#answer table")
+    assert page.locator(".arrow.free").count() == 1  # that of the start is given
+
+    def planned(action: Any) -> Any:
+        with page.expect_response("**/api/compare"):
+            action()
+        page.wait_for_selector("#answer table")
+        return sent[-1]["goal"]
+
+    box = opened.ring("G").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    pin = page.locator("[title=G].leaflet-marker-icon").bounding_box()
+    end = pin["x"] + pin["width"] / 2, pin["y"] - 30  # across the way, so that it has to turn
+
+    def drag() -> None:
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(*end, steps=4)
+        page.mouse.up()
+
+    *_, yaw = planned(drag)
+    assert yaw == pytest.approx(1.57, abs=0.2)
+    page.wait_for_selector("#answer table:not(:has-text('arrives'))")
+    assert page.locator(".arrow.free").count() == 0
+    assert float(page.inner_text("#answer .big").removesuffix(" Wh")) > free
+    assert len(planned(opened.ring("G").click)) == 2
+    page.locator("[title=G].leaflet-marker-icon").focus()
+    assert len(planned(lambda: page.keyboard.press("q"))) == 3
+    assert len(planned(lambda: page.keyboard.press("f"))) == 2
+    assert opened.errors == []
+
+
+def test_the_page_speaks_the_browsers_language_and_the_one_that_is_chosen(
+    browser: Any, prepared: str
+) -> None:
+    """What stands on it is of that language alone, before and after the other one is chosen."""
+    opened = Opened(browser, prepared, 1300, surfaces=None, locale="de-DE")
+    page = opened.page
+    page.wait_for_selector("#tasks tr")
+    page.click("text=Reicht der Akku?")
+    page.wait_for_selector("#verdicts table", timeout=120_000)
+    for name, other in (("de", "en"), ("en", "de")):
+        page.select_option("#language", name)
+        page.wait_for_selector(f"html[lang={name}]")
+        shown = page.inner_text("body")
+        mine, foreign = TEXTS[name], TEXTS[other]
+        for key in ("will_it_last", "col_what", "total", "reason.battery", "mission_hint"):
+            assert mine[key] in shown and foreign[key] not in shown
+        labels = page.evaluate(
+            "[...document.querySelectorAll('[aria-label]')].map(e => e.ariaLabel)"
+        )
+        assert mine["minutes_of"].format(name="pump") in labels
+    page.click("#explain")
+    assert page.locator("#glossary dd").first.is_visible()
+    assert page.locator("#glossary dt").all_inner_texts() == [
+        term for term, _ in TEXTS["en"]["terms"]
+    ]
+    page.reload()
+    page.wait_for_selector("html[lang=en]")  # what was chosen is kept
+    assert opened.errors == []

@@ -1,5 +1,7 @@
 // Requests to the service. Each function returns the service's JSON or throws its own message.
 
+import { t } from "./texts.js";
+
 const token = new URLSearchParams(location.hash.slice(1)).get("token");
 const headers = token ? { Authorization: `Bearer ${token}` } : {};
 
@@ -30,7 +32,7 @@ export async function post(path, body, told = () => {}, signal = undefined) {
       told(document);
     }
   }
-  throw new Error("The service ended before it answered.");
+  throw new Error(t("ended"));
 }
 
 export async function upload(name, file) {

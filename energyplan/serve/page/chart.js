@@ -1,6 +1,8 @@
 // The map: a picture of the occupied cells, poses that can be dragged, routes.
 // Leaflet's plane has y upwards; "at" turns metres of the world into its latitude and longitude.
 
+import { relabel, t } from "./texts.js";
+
 const L = window.L;
 const at = (x, y) => L.latLng(y, x);
 const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -85,36 +87,47 @@ export class Chart {
     L.imageOverlay(canvas.toDataURL(), this.bounds, { className: "walls" }).addTo(this.ground);
   }
 
-  // A pose with a handle for its heading; calls back after it was moved.
-  pose(label, [x, y, yaw], onChange, kind = "") {
+  // A pose with a ring for its heading; calls back after it was moved. One that may be `free` has no heading while
+  // its third number is null; then the ring shows at which one it was reached.
+  pose(label, [x, y, yaw], onChange, kind = "", free = false) {
     const reach = 1.0;
+    let reached = 0;
     const pose = [x, y, yaw];
     const icon = (name) => L.divIcon({
       className: "", html: `<div class="pin ${name}">${label}</div>`, iconSize: [26, 26],
       iconAnchor: [kind === "charger" ? 36 : 13, 13],  // a dock is often where the robot begins
     });
     const marker = L.marker(at(x, y), {
-      draggable: true, icon: icon(kind), title: label, alt: `pose ${label}`, keyboard: true,
+      draggable: true, icon: icon(kind), title: label, alt: t("pose_of", { name: label }), keyboard: true,
     }).addTo(this.map);
     const line = L.polyline([], { color: "#333", weight: 3 }).addTo(this.map);
     const arrow = L.marker(at(x, y), {
-      draggable: true, keyboard: false, title: `heading of ${label}`,
+      draggable: true, keyboard: false,
       icon: L.divIcon({ className: "", html: '<div class="arrow"></div>', iconSize: [16, 16] }),
     }).addTo(this.map);
+    Object.assign(arrow.getElement().dataset, { hint: "heading_of", name: label });
+    relabel([arrow.getElement()]);
     const draw = () => {
-      const tip = at(pose[0] + reach * Math.cos(pose[2]), pose[1] + reach * Math.sin(pose[2]));
+      const heading = pose[2] ?? reached;
+      const tip = at(pose[0] + reach * Math.cos(heading), pose[1] + reach * Math.sin(heading));
+      arrow.getElement().firstChild.classList.toggle("free", pose[2] == null);
+      line.setStyle({ dashArray: pose[2] == null ? "2 6" : null });
       marker.setLatLng(at(pose[0], pose[1]));
       arrow.setLatLng(tip);
       line.setLatLngs([at(pose[0], pose[1]), tip]);
     };
     marker.on("drag", () => { [pose[0], pose[1]] = place(marker); draw(); });
+    const release = () => { if (free && pose[2] != null) { reached = pose[2]; pose[2] = null; draw(); onChange(); } };
+    arrow.on("click", release);
     arrow.on("drag", () => {
       const [ax, ay] = place(arrow);
       pose[2] = Math.atan2(ay - pose[1], ax - pose[0]);
+      arrow.getElement().firstChild.classList.remove("free");
       line.setLatLngs([at(pose[0], pose[1]), at(ax, ay)]);
     });
     for (const part of [marker, arrow]) part.on("dragend", () => { draw(); onChange(); });
     marker.getElement().addEventListener("keydown", (event) => {
+      if (event.key === "f") return release();
       const step = event.shiftKey ? 0.5 : 0.1;
       const moves = {
         ArrowUp: [0, step, 0], ArrowDown: [0, -step, 0], ArrowLeft: [-step, 0, 0],
@@ -124,13 +137,14 @@ export class Chart {
       if (!move) return;
       event.preventDefault();
       event.stopPropagation();
-      move.forEach((by, k) => { pose[k] += by; });
+      move.forEach((by, k) => { if (by) pose[k] = (pose[k] ?? reached) + by; });
       draw();
       onChange();
     });
     draw();
     return {
       pose,
+      turned: (heading) => { reached = heading; draw(); },
       mark: (name) => marker.getElement().firstChild.className = `pin ${kind} ${name}`,
       remove: () => [marker, arrow, line].forEach((part) => part.remove()),
     };
@@ -140,7 +154,7 @@ export class Chart {
   row(label, points) {
     const line = L.polyline(points.map(([x, y]) => at(x, y)), { weight: 9, opacity: 0.45, interactive: false, className: "row" }).addTo(this.map);
     const icon = L.divIcon({ className: "", html: `<div class="pin task">${label}</div>`, iconSize: [26, 26] });
-    const marker = L.marker(at(...points[0]), { icon, title: label, alt: `path ${label}`, interactive: false, keyboard: false }).addTo(this.map);
+    const marker = L.marker(at(...points[0]), { icon, title: label, alt: t("path_of", { name: label }), interactive: false, keyboard: false }).addTo(this.map);
     const mark = (name) => {
       marker.getElement().firstChild.className = `pin task ${name}`;
       line.setStyle({ color: color(name === "out" ? "--bad" : name === "done" ? "--good" : "--least") });

@@ -2,20 +2,26 @@
 
 import { get, post, upload } from "./api.js";
 import { Chart } from "./chart.js";
+import { counted, known, language, number, preferred, relabel, speak, t } from "./texts.js";
 
 const $ = (id) => document.getElementById(id);
 const scene = $("scene");
 const status = $("status");
 let start = null, goal = null, robots = [], tasks = [], chargers = [], mode = "route", asked = null, plot = null;
+let said = () => "", shown = () => {};  // the status, and what shows the last answer, said again in another language
 const TINTS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];  // of robots, in their order
 let files = {}, mission = null, logs = [], playing = 0;  // what the folder holds, the mission that is open, the logs sent, the frame of the animation
 
 const chart = new Chart("map", place);
 
+// Set the status to a text, or to one of the table by its key.
 function say(text, bad = false) {
-  status.textContent = text;
+  said = typeof text === "function" ? text : () => text;
+  status.textContent = said();
   status.classList.toggle("bad", bad);
 }
+
+const tell = (key, values = {}, bad = false) => say(() => t(key, values), bad);
 
 // -- small pieces of HTML: text is always set as text ------------------------------------------
 
@@ -23,6 +29,13 @@ function element(tag, text = "", name = "") {
   const made = document.createElement(tag);
   made.textContent = text;
   made.className = name;
+  return made;
+}
+
+// Give an element a text of the table that stays right in another language; `part` as in `relabel`.
+function labelled(made, part, key, values = {}) {
+  Object.assign(made.dataset, { [part]: key, ...values });
+  relabel([made]);
   return made;
 }
 
@@ -45,18 +58,30 @@ const unit = (text) => text === "1" ? "" : ` ${text.replace(/\^([-\d]+)/g, (_, n
 const energy = (value) => {
   if (value == null) return "–";
   const digits = Math.abs(value) < 36000 ? 3 : Math.abs(value) < 360000 ? 2 : 1;
-  return `${(value / 3600).toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits })} Wh`;
+  return `${number(value / 3600, digits)} Wh`;
 };
-const percent = (value) => `${(100 * value).toFixed(1)} %`;
+const percent = (value) => `${number(100 * value, 1)} %`;
+const figure = (value, digits) => Number(value.toPrecision(digits)).toLocaleString(language, { maximumSignificantDigits: digits });
+const degrees = (value) => `${number(value * 180 / Math.PI)}°`;
 
 // the scene
 
 function options(select, names, none) {
-  select.replaceChildren(...(none ? [new Option(none, "")] : []), ...names.map((n) => new Option(n, n)));
+  select.replaceChildren(...(none ? [labelled(new Option("", ""), "text", none)] : []), ...names.map((n) => new Option(n, n)));
+}
+
+// Say everything in a language.
+async function switched(name) {
+  await speak(name);
+  $("language").value = name;
+  $("glossary").querySelector("dl").replaceChildren(...t("terms").flatMap(([term, meaning]) => [element("dt", term), element("dd", meaning)]));
+  status.textContent = said();
+  shown();
 }
 
 // The page begins with what the folder holds: its mission if there is one, else its map and model.
 async function begin() {
+  await switched(preferred());
   files = await get("files");
   options(scene.map, files.maps);
   options(scene.surfaces, files.surfaces, "none");
@@ -67,7 +92,7 @@ async function begin() {
   scene.model.value = model ?? "quadriga:full:concrete";
   $("battery").pack.value = pack ?? (model ? "" : "quadriga");
   if (files.missions.length) return open(files.missions[0]);
-  if (!files.maps.length) return say("The data folder holds no map (a YAML file with its image).", true);
+  if (!files.maps.length) return tell("no_map", {}, true);
   await load();
 }
 
@@ -76,7 +101,7 @@ function list(id, names) {
 }
 
 async function load() {
-  say("Loading the map…");
+  tell("loading");
   const surfaces = scene.surfaces.value;
   const [grid, areas] = await Promise.all([
     get(`maps/${scene.map.value}`), surfaces ? get(`surfaces/${surfaces}`) : null,
@@ -87,8 +112,10 @@ async function load() {
 
 async function draw(grid, areas) {
   await chart.show(grid, areas);
-  $("legend").replaceChildren(...[["least energy", "var(--least)"], ["shortest", "var(--short)"], ...chart.legend]
-    .map(([name, tint]) => { const made = element("span", name, "tint"); made.style.borderColor = tint; return made; }));
+  const ways = ["least_energy", "shortest"].map((key) => labelled(element("span", "", "tint"), "text", key));
+  const grounds = chart.legend.map(([name]) => element("span", name, "tint"));
+  const tints = ["var(--least)", "var(--short)", ...chart.legend.map(([, tint]) => tint)];
+  $("legend").replaceChildren(...[...ways, ...grounds].flatMap((made, k) => { made.style.borderColor = tints[k]; return [made, " "]; }));
 }
 
 function reset() {
@@ -100,7 +127,7 @@ function reset() {
   clearRoutes();
   for (const id of ["verdicts", "charge", "tasks"]) $(id).replaceChildren();
   $("tasks").hidden = true;
-  say("Click on the map to place the start, or press Enter on it to place it in the middle.");
+  tell("place_start");
 }
 
 // What was said of the mission no longer holds where a task or the start was moved.
@@ -111,7 +138,7 @@ function stale() {
   chart.routes.clearLayers();
   chart.where([]);
   cancelAnimationFrame(playing);
-  say("The mission has changed: ask again whether the battery lasts.");
+  tell("stale");
 }
 
 // Mark where the robots begin; a route and a range begin where the first one does.
@@ -125,20 +152,23 @@ function begins(each) {
 
 // Place what comes next; with the keyboard it begins in the middle, wherever that is.
 function place(x, y, keys = false) {
-  if (!keys && chart.blocked(x, y)) return say("There is a wall, or no map: click on free ground.", true);
+  if (!keys && chart.blocked(x, y)) return tell("blocked", {}, true);
   if (!start) {
     begins([{ start: [x, y, 0] }]);
-    say(mode === "route" ? "Now click where the goal is." : "Now click where tasks are.");
+    tell(mode === "route" ? "place_goal" : "place_tasks");
   } else if (mode === "mission") {
-    add({ name: `task ${1 + Math.max(0, ...tasks.map((task) => task.number))}`, pose: [x, y, 0], dwell: 600,
+    add({ name: t("task", { number: 1 + Math.max(0, ...tasks.map((task) => task.number)) }), pose: [x, y, null], dwell: 600,
       power: 100, window: [0, null], required: false });
     stale();
-    say(`${tasks.length} task${tasks.length > 1 ? "s" : ""}. Ask whether the battery lasts.`);
+    say(() => counted("tasks_placed", tasks.length));
   } else if (!goal) {
-    goal = chart.pose("G", [x, y, 0], replan);
+    goal = chart.pose("G", [x, y, null], replan, "", true);
     replan();
   }
 }
+
+// A place without a heading is a place at any.
+const target = ([x, y, yaw]) => yaw == null ? [x, y] : [x, y, yaw];
 
 // routes
 
@@ -146,11 +176,11 @@ async function replan() {
   if (!start || !goal || mode !== "route") return;
   asked?.abort();
   const mine = asked = new AbortController();
-  say("Planning…");
+  tell("planning");
   try {
     const told = await ask("compare", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
-      start: start.pose, goal: goal.pose, time_limit: 0.3,
+      start: start.pose, goal: target(goal.pose), effort: 15000,
     }, mine.signal);
     if (mine !== asked) return;
     show(told);
@@ -160,6 +190,7 @@ async function replan() {
 }
 
 function clearRoutes() {
+  shown = () => {};
   chart.routes.clearLayers();
   chart.reach.clearLayers();
   chart.where([]);
@@ -168,27 +199,29 @@ function clearRoutes() {
 
 function show(told) {
   clearRoutes();
-  if (told.path === null) return say(`No path: ${told.reason}`, true);
+  shown = () => show(told);
+  if (told.path === null) return tell("no_path", { reason: told.reason }, true);
   const { energy_optimal: best, shortest } = told;
   chart.route(shortest.path, "--short", true);
   chart.route(best.path, "--least");
-  say("Drag a marker to plan again.");
+  goal.turned(best.goal_reached[2]);
+  tell("plan_again");
   const lead = element("p");
   // Saving, joules and terms are of one energy: that of driving with all stops, where there is one.
   const of = told.saving_of, parts = of === "energy_steady" ? "breakdown" : "breakdown_driven";
-  const kind = of === "energy_steady" ? "energy at steady speeds" : "energy as driven, with its stops";
-  const beyond = best.potential < 0 ? " beyond what the descent is worth" : "";
-  lead.append(element("span", energy(best[of]), "big least"), ` least energy. That saves ${percent(told.saving)} of the shortest route's${beyond}.`);
+  lead.append(element("span", energy(best[of]), "big least"), ` ${t(best.potential < 0 ? "saves_downhill" : "saves", { share: percent(told.saving) })}`);
   const terms = [...new Set([...Object.keys(best[parts]), ...Object.keys(shortest[parts])])];
+  const both = (name, of_one) => [name, of_one(best), of_one(shortest)];
   $("answer").replaceChildren(lead, table(
-    ["", ["least energy", "least"], ["shortest", "short"]],
+    ["", [t("least_energy"), "least"], [t("shortest"), "short"]],
     [
-      ...terms.map((name) => [name.replaceAll("_", " "), energy(best[parts][name] ?? 0), energy(shortest[parts][name] ?? 0)]),
-      [kind, energy(best[of]), energy(shortest[of])],
-      ["length", `${best.length.toFixed(1)} m`, `${shortest.length.toFixed(1)} m`],
-      ["turning", `${(best.turning * 180 / Math.PI).toFixed(0)}°`, `${(shortest.turning * 180 / Math.PI).toFixed(0)}°`],
-      ...(of === "energy_steady" ? [] : [["energy at steady speeds", energy(best.energy_steady), energy(shortest.energy_steady)]]),
-      [best.gap_of === "driven" ? "no route takes less than" : "no route takes less than, at steady speeds", best.lower_bound === null ? "–" : energy(best.lower_bound), "–"],
+      ...terms.map((name) => both(name.replaceAll("_", " "), (one) => energy(one[parts][name] ?? 0))),
+      both(t(of === "energy_steady" ? "energy_steady" : "energy_driven"), (one) => energy(one[of])),
+      both(t("length"), (one) => `${number(one.length, 1)} m`),
+      both(t("turning"), (one) => degrees(one.turning)),
+      ...(goal.pose[2] == null ? [both(t("arrives"), (one) => degrees(one.goal_reached[2]))] : []),
+      ...(of === "energy_steady" ? [] : [both(t("energy_steady"), (one) => energy(one.energy_steady))]),
+      [t(best.gap_of === "driven" ? "bound_driven" : "bound_steady"), best.lower_bound === null ? "–" : energy(best.lower_bound), "–"],
     ],
   ));
 }
@@ -197,10 +230,10 @@ function show(told) {
 
 async function range() {
   const form = $("battery");
-  if (!start) return say("Place the start on the map first.", true);
-  if (!form.pack.value && !mission) return say("Name the battery on the tab Mission first.", true);
+  if (!start) return tell("place_start_first", {}, true);
+  if (!form.pack.value && !mission) return tell("name_battery", {}, true);
   const spread = form.spread.value / 100;
-  say("Searching for all places in reach…");
+  tell("searching");
   try {
     const told = await ask("range", {
       map: scene.map.value, model: scene.model.value, surfaces: scene.surfaces.value || null,
@@ -209,25 +242,29 @@ async function range() {
       soc: form.soc.value / 100, reserve: form.reserve.value / 100,
       coefficient_spread: spread, confidence: spread > 0 ? 0.95 : null,
     });
-    clearRoutes();
-    chart.areas(told.areas, energy);
-    const all = told.contours.at(-1);
-    say(`${Math.round(all.area).toLocaleString("en")} m² are in reach${$("back").checked ? ", and back" : ""}${spread > 0 ? ", with 95 % confidence" : ""}.`);
-    $("answer").replaceChildren(table(["with", "area in reach"],
-      told.contours.map((line) => [energy(line.energy), `${Math.round(line.area).toLocaleString("en")} m²`])));
+    inReach(told, `in_reach${$("back").checked ? "_back" : ""}${spread > 0 ? "_sure" : ""}`);
   } catch (error) { say(error.message, true); }
+}
+
+function inReach(told, key) {
+  clearRoutes();
+  shown = () => inReach(told, key);
+  chart.areas(told.areas, energy);
+  tell(key, { area: number(told.contours.at(-1).area) });
+  $("answer").replaceChildren(table([t("with_energy"), t("area_in_reach")],
+    told.contours.map((line) => [energy(line.energy), `${number(line.area)} m²`])));
 }
 
 // Ask the service, and say how far it is where it must compile first.
 const ask = (path, body, signal) => post(path, body, ({ event, done, total, left }) => {
-  if (event === "compiling") say(`Compiling, once: ${done} of ${total}${left == null ? "" : `, about ${Math.round(left)} s left`}…`);
+  if (event === "compiling") tell(left == null ? "compiling" : "compiling_left", { done, total, left: Math.round(left ?? 0) });
 }, signal);
 
 // missions
 
 // Show a mission's file: its map, places and tasks as the service reads them.
 async function open(name) {
-  say(`Opening ${name}…`);
+  tell("opening", { name });
   const told = await get(`missions/${name}`);
   reset();
   await draw(told.map, told.areas);
@@ -240,14 +277,10 @@ async function open(name) {
   form.file.value = name;
   const own = typeof document.battery === "string";
   fill(form.pack, own ? document.battery : "");
-  const pack = Object.entries(document.battery ?? {}).map(([key, value]) => `${key.replaceAll("_", " ")} ${value?.mean ?? value}`);
-  form.pack.placeholder = own ? "24 V 20 Ah lead-acid" : `as in the file: ${pack.join(", ")}`;
+  const pack = own ? [] : Object.entries(document.battery ?? {}).map(([key, value]) => `${key.replaceAll("_", " ")} ${value?.mean ?? value}`);
+  labelled(form.pack, "placeholder", own ? "pack_example" : "as_in_file", { battery: pack.join(", ") });
   form.pack.title = form.pack.value || form.pack.placeholder;
-  $("docks").textContent = told.chargers.map((one) => {
-    const power = typeof one.power === "number" ? `${one.power} W` : "a power curve";
-    return `${one.name}: ${power}${one.until == null ? "" : `, until ${Math.round(100 * one.until)} %`}`;
-  }).join("; ");
-  if (told.chargers.length) $("docks").prepend("Chargers: ");
+  $("docks").replaceChildren(...told.chargers.length ? [labelled(element("span"), "text", "chargers", { list: told.chargers.map(dock).join("; ") })] : []);
   for (const [key, value] of [["soc", told.soc], ["reserve", told.reserve], ["spread", told.coefficient_spread]]) fill(form[key], round(100 * value));
   form.charger.parentElement.hidden = told.chargers.length > 0;
   form.soc.parentElement.hidden = told.robots.length > 0;  // each has its own
@@ -258,9 +291,14 @@ async function open(name) {
     return made;
   });
   const listed = Array.isArray(document.tasks);  // or the name of a file of them
-  told.tasks.forEach((task, k) => add(task, listed ? document.tasks[k] : said(task)));
+  told.tasks.forEach((task, k) => add(task, listed ? document.tasks[k] : given(task)));
   if (mode !== "mission") $("tab-mission").click();
-  say(`${name}: ${tasks.length} task${tasks.length > 1 ? "s" : ""}. Move or change them, and ask whether the battery lasts.`);
+  say(() => counted("opened", tasks.length, { name }));
+}
+
+function dock({ name, power, until }) {
+  const values = { name, power: typeof power === "number" ? `${power} W` : t("power_curve"), soc: until == null ? "" : `${Math.round(100 * until)} %` };
+  return t(until == null ? "charger_item" : "charger_item_until", values);
 }
 
 const round = (value) => Number(value.toPrecision(6));
@@ -271,17 +309,20 @@ function fill(input, value) {
 }
 
 // What a file would say of a task that another file names: what is open is left out.
-const said = (task) => Object.fromEntries(Object.entries(task).filter(([, value]) =>
+const given = (task) => Object.fromEntries(Object.entries(task).filter(([, value]) =>
   value != null && !(Array.isArray(value) && (!value.length || value.includes(null)))));
 
+const COLUMNS = ["task", "minutes", "watts", "first", "last", "required"];
+
 // Add a task, with a row of its own; `raw` is what the file says of it. A path stays where it is.
-function add({ name, pose, path = [], dwell, power, window: [first, last], required }, raw = null) {
+function add({ name, pose, path = [], goals = [], dwell, power, window: [first, last], required }, raw = null) {
   const number = 1 + Math.max(0, ...tasks.map((task) => task.number));
   const task = path.length ? chart.row(String(number), path)
-    : chart.pose(String(number), pose, () => { task.moved = true; stale(); }, "task");
+    : chart.pose(String(number), goals.length === 1 && goals[0].yaw == null ? [pose[0], pose[1], null] : pose,
+      () => { task.moved = true; stale(); }, "task", true);
   const row = element("tr"), input = (label, value, type = "number") => {
-    const made = element("input");
-    Object.assign(made, { type, min: 0, step: "any", ariaLabel: `${label} of ${name}` });
+    const made = labelled(element("input"), "label", label, { name });
+    Object.assign(made, { type, min: 0, step: "any" });
     if (type === "checkbox") made.checked = made.defaultChecked = value; else fill(made, value);
     made.addEventListener("change", stale);
     const cell = element("td");
@@ -292,17 +333,21 @@ function add({ name, pose, path = [], dwell, power, window: [first, last], requi
   row.append(element("td", `${number} ${name}`));
   const minutes = (seconds) => seconds == null ? "" : round(seconds / 60);
   Object.assign(task, {
-    name, number, raw, row, dwell: input("minutes", minutes(dwell)), power: input("watts", round(power)),
-    first: input("earliest start", first ? minutes(first) : ""), last: input("latest start", minutes(last)),
-    required: input("required", required, "checkbox"),
+    name, number, raw, row, dwell: input("minutes_of", minutes(dwell)), power: input("watts_of", round(power)),
+    first: input("earliest_of", first ? minutes(first) : ""), last: input("latest_of", minutes(last)),
+    required: input("required_of", required, "checkbox"),
   });
   task.dwell.disabled = path.length > 0;  // it takes as long as its drive
   const drop = element("button", "×"), cell = element("td");
-  Object.assign(drop, { type: "button", title: `Remove ${name}` });
+  labelled(Object.assign(drop, { type: "button" }), "hint", "remove", { name });
   drop.addEventListener("click", () => { task.remove(); row.remove(); tasks = tasks.filter((one) => one !== task); $("tasks").hidden = !tasks.length; stale(); });
   cell.append(drop);
   row.append(cell);
-  if (!tasks.length) $("tasks").replaceChildren(...table(["task", "takes [min]", "tool [W]", "not before", "not after", "must", ""], []).children);
+  if (!tasks.length) {
+    const head = element("tr");
+    head.append(...COLUMNS.map((key) => labelled(element("th"), "text", `col_${key}`)), element("th"));
+    $("tasks").replaceChildren(head);
+  }
   $("tasks").append(row);
   $("tasks").hidden = false;
   tasks.push(task);
@@ -326,7 +371,10 @@ function written() {
   else chargers.forEach((one, k) => { if (one.moved) document.chargers[k].pose = one.pose; });
   document.tasks = tasks.map((task) => {
     const made = { ...task.raw, name: task.name }, { raw } = task;
-    if (!raw || task.moved) made.pose = task.pose;
+    if (!raw || task.moved) {
+      made.pose = target(task.pose);
+      if (made.pose.length === 2) delete made.heading;
+    }
     put(made, raw, "dwell", task.dwell, 60 * task.dwell.value);
     put(made, raw, "power", task.power, Number(task.power.value));
     put(made, raw, "required", task.required, task.required.checked);
@@ -340,17 +388,18 @@ function written() {
 
 async function evaluate(event) {
   event.preventDefault();
-  if (!start || !tasks.length) return say("Place the start and some tasks on the map first.", true);
+  if (!start || !tasks.length) return tell("place_both", {}, true);
   if (!$("battery").reportValidity()) return null;
-  say("Evaluating the mission…");
+  tell("evaluating");
   try {
-    verdicts(await ask("mission", { mission: mission?.name ?? null, document: written() }));
+    const needed = tasks.map((task) => task.required.checked);
+    verdicts(await ask("mission", { mission: mission?.name ?? null, document: written() }), needed);
   } catch (error) { say(error.message, true); }
 }
 
 // Keep what the page shows as a mission's file of the folder. JSON is YAML too.
 async function save() {
-  const name = window.prompt("Name of the mission's file", "mission_new.yaml");
+  const name = window.prompt(t("name_file"), "mission_new.yaml");
   if (!name) return;
   const file = `${mission?.folder ?? ""}${/\.ya?ml$/.test(name) ? name : `${name}.yaml`}`;
   try {
@@ -358,7 +407,7 @@ async function save() {
     files.missions.push(file);
     options($("battery").file, files.missions, "none");
     await open(file);
-    say(`Kept as ${file}, and opened.`);
+    tell("kept", { file });
   } catch (error) { say(error.message, true); }
 }
 
@@ -379,11 +428,11 @@ function player(each) {
   const begin = Math.min(...each.flatMap(({ legs }) => legs.slice(0, 1).map(({ departure }) => departure)));
   const end = Math.max(...each.map(({ route }) => route.at(-1).arrival));
   if (!(begin < end)) return element("p");  // nobody drives
-  const made = element("p", "", "player"), button = element("button", "Play"), slider = element("input"), time = element("span");
+  const made = element("p", "", "player"), button = element("button", t("play")), slider = element("input"), time = element("span");
   Object.assign(button, { type: "button" });
-  Object.assign(slider, { type: "range", min: begin, max: end, step: "any", value: begin, ariaLabel: "time of the mission" });
-  const show = () => { follow(each, Number(slider.value)); time.textContent = `${clock(Number(slider.value))} h`; };
-  const stop = () => { cancelAnimationFrame(playing); playing = 0; button.textContent = "Play"; };
+  Object.assign(slider, { type: "range", min: begin, max: end, step: "any", value: begin, ariaLabel: t("time_of_mission") });
+  const show = () => { follow(each, Number(slider.value)); time.textContent = t("hours", { time: clock(Number(slider.value)) }); };
+  const stop = () => { cancelAnimationFrame(playing); playing = 0; button.textContent = t("play"); };
   stop();
   slider.addEventListener("input", () => { stop(); show(); });
   button.addEventListener("click", () => {
@@ -397,7 +446,7 @@ function player(each) {
       show();
       if (at < end && made.isConnected) playing = requestAnimationFrame(step); else stop();
     };
-    button.textContent = "Stop";
+    button.textContent = t("stop");
     playing = requestAnimationFrame(step);
   });
   made.append(button, slider, time);
@@ -410,46 +459,85 @@ const clock = (t) => {
   const whole = Math.round(t / 60);
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
 };
-const REASONS = {
-  no_path: "no drivable path leads there", motor: "a turn on the way is beyond the motors' limits",
-  late: "its time window is over by then", time_limit: "no route was found in the time for planning",
-  payload: "it leaves more than is on board",
-  battery: "the battery does not last", blocked_by_earlier: "alone it could be done, but not with the other tasks",
-};
 
-function verdicts(told) {
+// What comes of a mission, in sentences; `needed` says which of its tasks are required.
+function headline(told, needed) {
+  const out = told.tasks.map((task) => task.verdict !== "reachable"), all = out.length;
+  const [lost, hard] = [out.filter(Boolean).length, out.filter((gone, k) => gone && needed[k]).length];
+  if (!all) return t("nothing_to_do");
+  if (hard) return [t("not_feasible"), all === 1 ? t("cannot_only") : counted("cannot", lost, { all }), ...(hard < lost ? [t("cannot_required", { count: hard })] : [])].join(" ");
+  const first = !told.feasible ? [t("not_feasible"), t("no_end")] : !lost ? [counted("all_done", all)] : needed.some(Boolean) ? [t("required_done")] : [];
+  return [...first, ...(lost ? [counted("optional_out", lost, { all })] : [])].join(" ");
+}
+
+function remedyText({ kind, amount, task }) {
+  const value = amount ?? 0;
+  return t(`remedy.${kind}`, { amount: figure(value, 4), percent: `${figure(100 * value, 3)} %`, energy: `${number(value / 3600)} Wh`, minutes: figure(value / 60, 2), task });
+}
+
+// Why a task is left out, and what would change that; the service's own words are its title.
+function leftOut(task, reasons) {
+  const why = reasons.map((reason) => t(`reason.${reason}`)).join("; ") || t("no_robot");
+  const parts = [t("out_of_reach", { name: task.name, why })];
+  if (task.shortfall > 0) parts.push(t("shortfall", { missing: energy(task.shortfall) }));
+  else if (task.detail && reasons.length && task.reason !== "blocked_by_earlier") parts.push(t("in_words", { text: task.detail }));
+  const remedies = [...task.remedies.map(remedyText), ...(known(`advice.${task.reason}`) ? [t(`advice.${task.reason}`)] : [])];
+  if (remedies.length) parts.push(t("remedy", { list: remedies.join(t("or")) }));
+  return Object.assign(element("p", parts.join(" "), "bad"), { title: [task.detail, task.remedy].filter(Boolean).join("; ") });
+}
+
+const full = (soc) => soc == null ? "–" : `${number(100 * soc)} %`;
+
+// What each robot does from when to when, with rows of totals of their own.
+function timetable(told, each) {
+  const several = each.length > 1, named = (one, text) => several ? t("of_robot", { name: one.name, text }) : text;
+  const row = (one, what, kind, from, to, joules, soc) => [from, [
+    [named(one, what), `text ${kind}`], clock(from), to === from ? "" : clock(to), joules, full(soc)]];
+  const end = (one) => one.route.at(-1).arrival;
+  const rows = each.flatMap((one) => [
+    ...one.tasks.filter((task) => task.verdict === "reachable")
+      .map((task) => row(one, task.name, "good", task.arrival, task.departure, energy(task.energy), task.soc_after)),
+    ...one.timetable.filter(({ kind }) => kind === "charge")
+      .map((stay) => row(one, t("charging_at", { place: stay.place }), "", stay.start, stay.end, "–", stay.soc_end)),
+    row(one, one.tasks.length ? t("end_at", { place: one.end === "start" ? t("start") : one.end }) : t("idle"), "", end(one), end(one), "–", one.soc_end),
+  ]).sort(([a], [b]) => a - b).map(([, cells]) => cells);
+  const began = Math.min(...each.map((one) => one.route[0].departure)), ended = Math.max(...each.map(end));
+  const mains = each.flatMap((one) => one.chargers).reduce((sum, one) => sum + one.energy_mains, 0);
+  const totals = [
+    ...(several ? each.map((one) => [[named(one, t("total")), "text"], clock(one.route[0].departure), clock(end(one)), energy(one.energy), full(one.soc_end)]) : []),
+    [[t("total"), "text"], clock(began), clock(ended), energy(told.energy), several ? "" : full(told.soc_end)],
+    [[t("total_upper"), "text"], "", "", energy(told.energy_upper), several ? "" : full(told.soc_end_lower)],
+    ...(mains ? [[[t("from_mains"), "text"], "", "", energy(mains), ""]] : []),
+  ];
+  const made = table(["what", "from", "to", "energy", "charge"].map((key) => t(`col_${key}`)), [...rows, ...totals]);
+  for (const line of [...made.rows].slice(-totals.length)) {
+    line.classList.add("total");
+    if (line.cells[1].textContent) continue;
+    line.cells[0].colSpan = 3;  // it has no times
+    for (const empty of [line.cells[2], line.cells[1]]) empty.remove();
+  }
+  return made;
+}
+
+function verdicts(told, needed) {
   for (const id of ["verdicts", "charge"]) $(id).classList.remove("stale");
   clearRoutes();
+  shown = () => verdicts(told, needed);
   const each = told.robots ?? [told], several = each.length > 1;
   each.forEach((one, k) => {
     one.tint = several ? TINTS[k % TINTS.length] : "--least";
     for (const { trajectory } of one.legs) chart.route(trajectory.x.map((x, j) => [x, trajectory.y[j]]), one.tint);
   });
-  const less = (told.remedies ?? []).map(({ amount }) =>
-    ` Leave the chargers at ${(100 * amount).toFixed(0)} %: ${(told.time_saved / 60).toFixed(0)} min less.`);
-  say(`${told.headline[0].toUpperCase()}${told.headline.slice(1)}.${less.join("")}`, told.tasks.some((task) => task.verdict !== "reachable"));
-  told.tasks.forEach((task, k) => tasks[k].mark(task.verdict === "reachable" ? "done" : "out"));
-  const full = (soc) => soc == null ? "–" : `${(100 * soc).toFixed(0)} %`;
-  const named = (one, text) => (several ? `${one.name}: ${text}` : text);
-  const row = (one, [what, kind], from, to, joules, soc) => [[from, one.name], [
-    [named(one, what), `text ${kind}`], clock(from), to === from ? "" : clock(to), joules, full(soc)]];
-  const rows = each.flatMap((one) => [
-    ...one.tasks.filter((task) => task.verdict === "reachable")
-      .map((task) => row(one, [task.name, "good"], task.arrival, task.departure, energy(task.energy), task.soc_after)),
-    ...one.timetable.filter(({ kind }) => kind === "charge")
-      .map((stay) => row(one, [`charging at ${stay.place}`, ""], stay.start, stay.end, "–", stay.soc_end)),
-    row(one, [one.tasks.length ? `end, at ${one.end}` : "nothing to do", ""], one.route.at(-1).arrival, one.route.at(-1).arrival, "–", one.soc_end),
-  ]).sort(([[a]], [[b]]) => a - b).map(([, cells]) => cells);
-  const why = (task) => [...new Set(told.left_out?.find(({ name }) => name === task.name)?.reasons ?? [task.reason])]
-    .map((reason) => REASONS[reason] ?? reason).join("; ") || "no robot has the skills";
-  const left = told.tasks.filter((task) => task.verdict !== "reachable").map((task) => element("p",
-    `${task.name}: out of reach; ${why(task)}.${task.detail ? ` ${task.detail[0].toUpperCase()}${task.detail.slice(1)}.` : ""}${task.remedy ? ` Remedy: ${task.remedy}.` : ""}`, "bad"));
-  const shares = several ? `${each.map((one) => `${one.name} takes ${energy(one.energy)}`).join(", ")}. ` : "";
-  const mains = each.flatMap((one) => one.chargers).reduce((sum, one) => sum + one.energy_mains, 0);
-  const most = `${shares}The whole takes ${energy(told.energy)}, with the confidence asked for ${energy(told.energy_upper)} at most.`
-    + (mains ? ` The chargers draw ${energy(mains)} from the mains.` : "");
-  $("verdicts").replaceChildren(...left, table(["what", "from [h:min]", "to", "energy", "charge after"], rows),
-    player(each), element("p", most, "hint"),
+  const less = () => (told.remedies ?? []).map((one) => t("shorter", { remedy: remedyText(one), minutes: number(told.time_saved / 60) }));
+  say(() => [headline(told, needed), ...less()].join(" "), !told.feasible);
+  told.tasks.forEach((task, k) => {
+    tasks[k].mark(task.verdict === "reachable" ? "done" : "out");
+    if (task.verdict === "reachable") tasks[k].turned?.(task.pose[2]);
+  });
+  const named = (one, text) => several ? t("of_robot", { name: one.name, text }) : text;
+  const left = told.tasks.filter((task) => task.verdict !== "reachable")
+    .map((task) => leftOut(task, [...new Set(told.left_out?.find(({ name }) => name === task.name)?.reasons ?? [task.reason])]));
+  $("verdicts").replaceChildren(...left, timetable(told, each), player(each),
     ...told.warnings.map((text) => element("p", text, "hint")));
   const ink = getComputedStyle(document.body).color;
   const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
@@ -459,11 +547,11 @@ function verdicts(told) {
   plot?.destroy();
   plot = new window.uPlot({
     width: $("charge").clientWidth || 340, height: 220, scales: { x: { time: false }, y: { range: [0, 100] } },
-    series: [{ label: "time [min]" }, ...each.flatMap((one, k) => [
-      { label: named(one, "expected"), stroke: TINTS[k % TINTS.length], width: 2, spanGaps: true },
-      { label: named(one, "at the asked confidence"), stroke: TINTS[(several ? k : 1) % TINTS.length], dash: [6, 4], spanGaps: true },
-    ]), ...reserves.map(() => ({ label: "reserve", stroke: ink, dash: [2, 3] }))],
-    axes: [{ ...axis, label: "time [min]", labelSize: 20 }, { ...axis, size: 44, label: "charge [%]", labelSize: 20 }],
+    series: [{ label: t("time_axis") }, ...each.flatMap((one, k) => [
+      { label: named(one, t("expected")), stroke: TINTS[k % TINTS.length], width: 2, spanGaps: true },
+      { label: named(one, t("at_confidence")), stroke: TINTS[(several ? k : 1) % TINTS.length], dash: [6, 4], spanGaps: true },
+    ]), ...reserves.map(() => ({ label: t("reserve_line"), stroke: ink, dash: [2, 3] }))],
+    axes: [{ ...axis, label: t("time_axis"), labelSize: 20 }, { ...axis, size: 44, label: t("charge_axis"), labelSize: 20 }],
   }, [...drawn, ...reserves.map((reserve) => drawn[0].map(() => 100 * reserve))], $("charge"));
 }
 
@@ -475,7 +563,7 @@ async function drives(chosen) {
     logs = [];
     for (const file of chosen) {
       const name = `logs/${Date.now()}-${file.name.replace(/[^\w.+-]/g, "_")}`;
-      say(`Sending ${file.name}…`);
+      tell("sending", { name: file.name });
       await upload(name, file);
       logs.push(name);
     }
@@ -492,34 +580,34 @@ async function learn() {
     const number = (key) => form[key].value ? Number(form[key].value) : null;
     whose.robot = { track: number("track"), wheelbase: number("wheelbase"), mass: number("mass"),
       wheel_radius: number("radius"), columns: form.columns.value || null };
-    if (!whose.robot.track || !whose.robot.mass) return say("Which robot is this? Give a vehicle, or track and mass of your own.", true);
+    if (!whose.robot.track || !whose.robot.mass) return tell("which_robot", {}, true);
     const read = await ask("start", { log: names[0], robot: whose.robot });
-    parts.push(element("h2", "Read as"), table(["channel", "column"],
+    parts.push(element("h2", t("read_as")), table([t("col_channel"), t("col_column")],
       Object.entries(read.columns).map(([channel, column]) => [channel, `${column} [${read.units[channel]}]`])),
       ...read.checks.filter((check) => !check.ok).map((check) => element("p", `${check.what}. ${check.remedy}`, "bad")));
     $("found").replaceChildren(...parts);
-    if (!read.sound) return say("The log contradicts itself or the robot: see below.", true);
+    if (!read.sound) return tell("contradicts", {}, true);
   }
-  say("Looking for the robot's parameters…");
+  tell("identifying");
   const found = await ask("identify", { logs: names, ...whose });
   const rows = (terms) => terms.map((t) => [t.name.replaceAll("_", " "), `${t.symbol} = ${t.value.toPrecision(4)}${t.std_error == null ? "" : ` ± ${t.std_error.toPrecision(2)}`}${unit(t.unit)}`]);
-  parts.push(element("h2", "Identified"), table(["term", "value"], rows(found.terms)),
+  parts.push(element("h2", t("identified")), table([t("col_term"), t("col_value")], rows(found.terms)),
     ...found.warnings.map((text) => element("p", text, "hint")), keeper(found.model_file));
   if (names.length > 1) {
-    say("Tracing what the model does not explain…");
+    tell("diagnosing");
     const told = await ask("diagnose", { logs: names.slice(0, -1), holdout: names.slice(-1), ...whose });
-    parts.push(element("h2", "Diagnosis"), element("p", told.verdict.replaceAll("_", " ")),
-      table(["effect", "size"], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
-      element("p", `Error of the energy on the last log: ${percent(told.before.energy_error)} before, ${percent(told.after.energy_error)} after.`),
+    parts.push(element("h2", t("diagnosis")), element("p", t(`verdict.${told.verdict}`)),
+      table([t("col_effect"), t("col_size")], told.effects.map((e) => [e.name.replaceAll("_", " "), `${e.value.toPrecision(4)}${unit(e.unit)}`])),
+      element("p", t("error_before_after", { before: percent(told.before.energy_error), after: percent(told.after.energy_error) })),
       ...told.advice.map((text) => element("p", text, "hint")), keeper(told.model_file));
   }
   $("found").replaceChildren(...parts);
-  say("Done.");
+  tell("done");
 }
 
 // A button that keeps a model in the folder, has the page use it, and lets it be downloaded.
 function keeper(text) {
-  const made = element("p"), button = element("button", "Keep this model and use it");
+  const made = element("p"), button = element("button", t("keep_model"));
   button.addEventListener("click", async () => {
     const name = `${mission?.folder ?? ""}models/model-${Date.now()}.yaml`;  // where the mission may name it
     try {
@@ -528,8 +616,8 @@ function keeper(text) {
       list("models", [...files.models, ...files.presets.models]);
       scene.model.value = name;
       stale();
-      const link = Object.assign(element("a", "Download it"), { href: URL.createObjectURL(new Blob([text])), download: name.split("/").pop() });
-      made.replaceChildren(`Kept as ${name}; Route and Mission use it. `, link);
+      const link = Object.assign(element("a", t("download")), { href: URL.createObjectURL(new Blob([text])), download: name.split("/").pop() });
+      made.replaceChildren(`${t("kept_model", { name })} `, link);
     } catch (error) { say(error.message, true); }
   });
   made.append(button);
@@ -554,11 +642,13 @@ scene.map.addEventListener("change", () => load().catch((error) => say(error.mes
 scene.surfaces.addEventListener("change", () => load().catch((error) => say(error.message, true)));
 scene.model.addEventListener("change", () => { stale(); replan(); });
 scene.addEventListener("submit", (event) => event.preventDefault());
+$("language").addEventListener("change", ({ target: { value } }) => { localStorage.setItem("language", value); switched(value); });
+$("explain").addEventListener("click", () => { $("glossary").open = true; });
 $("again").addEventListener("click", reset);
 $("far").addEventListener("click", range);
 $("battery").addEventListener("submit", evaluate);
 $("save").addEventListener("click", save);
-$("battery").pack.addEventListener("input", ({ target }) => { target.title = target.value || target.placeholder; });
+$("battery").pack.addEventListener("input", ({ target: pack }) => { pack.title = pack.value || pack.placeholder; });
 $("battery").file.addEventListener("change", ({ target }) => (target.value ? open(target.value) : load()).catch((error) => say(error.message, true)));
 for (const input of $("battery").querySelectorAll("input")) input.addEventListener("change", stale);
 $("clear").addEventListener("click", () => { tasks.forEach((task) => task.remove()); tasks = []; $("tasks").replaceChildren(); $("tasks").hidden = true; stale(); });
