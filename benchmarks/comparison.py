@@ -34,7 +34,6 @@ from pages import write
 import energyplan as ep
 from energyplan.errors import EnergyPlanError, PlanningError
 from energyplan.export.lattice import USUAL, Penalties, control_set, penalties
-from energyplan.io.husky import read_husky
 from energyplan.path import Path, Pose, wrap_angle
 from energyplan.planning import PlanningProblem, plan
 
@@ -303,15 +302,9 @@ def polynomial(log: ep.DriveLog, vehicle: ep.Vehicle) -> np.ndarray:
     return np.column_stack([sum(side**k for side in sides) for k in range(7)])
 
 
-def husky(folder: File) -> Iterator[card.Case]:
-    """Yield a real Husky's runs by ground; every third run judges."""
-    for ground in sorted(path for path in folder.iterdir() if path.is_dir()):
-        logs = [read_husky(file) for file in sorted(ground.glob("pro_*.csv"))]
-        logs = [log for log in logs if log.duration >= card.SHORTEST]
-        judge = logs[::3]
-        train = [log for log in logs if log not in judge]
-        name = ground.name.lower().replace("_", " ")
-        yield card.Case("Husky A200, real", name, train, judge, ep.Vehicle.preset("husky_a200"))
+def judged(ground: card.Ground) -> tuple[list[ep.DriveLog], list[ep.DriveLog]]:
+    """Return the runs of a ground to learn from, and every third one, which judges."""
+    return [run for k, run in enumerate(ground.runs) if k % 3], ground.runs[::3]
 
 
 def on_drives(folder: File) -> str:
@@ -322,30 +315,29 @@ def on_drives(folder: File) -> str:
         f"| robot, ground | drives judged | {' | '.join(names)} |",
         f"|{'---|' * (len(names) + 2)}",
     ]
-    cases = [*husky(folder / "borealtc"), *card.warthog(folder / "drive/warthog_grass.csv")]
-    for case in cases:
+    for ground in card.grounds(folder, []):
+        train, judge = judged(ground)
+        name = f"{ground.vehicle.name}, {ground.name.lower().replace('_', ' ')}"
         try:
-            told = ep.diagnose(case.train, holdout=case.judge, vehicle=case.vehicle)
+            diagnosed = ep.diagnose(train, holdout=judge, vehicle=ground.vehicle)
         except EnergyPlanError as error:
-            print(f"{case.robot}, {case.ground}: {error}")
+            print(f"{name}: {error}")
             continue
         predicted = []
         for build in (rolling, polynomial):
-            fitted = np.vstack([build(log, case.vehicle) for log in case.train])
+            fitted = np.vstack([build(log, ground.vehicle) for log in train])
             scale = np.abs(fitted).max(axis=0)
-            power = np.concatenate([log.power for log in case.train])
+            power = np.concatenate([log.power for log in train])
             size = np.linalg.lstsq(fitted / scale, power, rcond=None)[0] / scale
-            predicted.append(
-                [log.weights @ (build(log, case.vehicle) @ size) for log in case.judge]
-            )
+            predicted.append([log.weights @ (build(log, ground.vehicle) @ size) for log in judge])
         predicted += [
-            [log.weights @ power for log, power in zip(case.judge, powers, strict=True)]
-            for powers in (told.predictions_before, told.predictions_after)
+            [log.weights @ power for log, power in zip(judge, powers, strict=True)]
+            for powers in (diagnosed.predictions_before, diagnosed.predictions_after)
         ]
-        measured = np.array([log.energy for log in case.judge])
+        measured = np.array([log.energy for log in judge])
         errors = np.abs(np.array(predicted) / measured - 1) * 100
         cells = [f"{np.median(row):.1f} / {row.max():.1f} %" for row in errors]
-        lines.append(f"| {case.robot}, {case.ground} | {len(measured)} | {' | '.join(cells)} |")
+        lines.append(f"| {name} | {len(measured)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -76,7 +76,7 @@ def planned(robots: int, tasks: int) -> None:
     def free(count: int) -> list[Pose]:
         poses: list[Pose] = []
         while len(poses) < count:
-            pose = Pose(*rng.uniform((1, 1), (39, 29)), float(rng.uniform(-np.pi, np.pi)))
+            pose = Pose(*map(float, rng.uniform((1, 1, -np.pi), (39, 29, np.pi))))
             if grid.footprint_free([pose], models[1].vehicle)[0]:
                 poses.append(pose)
         return poses

@@ -73,7 +73,8 @@ def cubicles(seed: int = 1) -> OccupancyGrid:
                 box(x, front, begin, 0.05)
                 box(x + begin + opening, front, 2.9 - begin - opening, 0.05)
                 box(x + 0.1, y + 0.1 if side else y + 1.55, 2.7, 0.65)
-                box(*rng.uniform((x + 0.3, y + 0.9), (x + 2.2, y + 1.1)), 0.4, 0.4)
+                left, low = rng.uniform((x + 0.3, y + 0.9), (x + 2.2, y + 1.1))
+                box(left, low, 0.4, 0.4)
     return OccupancyGrid(blocked, size)
 
 

@@ -188,9 +188,9 @@ class Hidden(NamedTuple):
         )
         if found is None:
             return None
-        k, label, before, after, half, what, saved = found.groups()
-        errors = (float(x) / 100 for x in (before, after, half))
-        return cls(int(k), label, *errors, what, float(saved) / 100)
+        k, label, *percents, what, saved = found.groups()
+        before, after, half = (float(x) / 100 for x in percents)
+        return cls(int(k), label, before, after, half, what, float(saved) / 100)
 
 
 def of(flags: list[bool]) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,8 @@ def battery() -> None:
     print(f"battery: {len(t) / 1e6:.2f} million samples (a month at 1 Hz)  {month:6.2f} s")
     arguments = (pack.soc_points, pack.ocv_points, pack.circuit(), np.empty((5, 3600)))
     times = []
-    for kernel in (discharge, discharge.py_func):
+    compiled: Any = discharge
+    for kernel in (compiled, compiled.py_func):
         begun = time.perf_counter()
         kernel(t[:3600], power[:3600], 1.0, 0.0, *arguments)
         times.append(time.perf_counter() - begun)
@@ -53,7 +55,7 @@ def warehouse(count: int, seed: int = 0) -> Mission:
     rng = np.random.default_rng(seed)
     tasks: list[Task] = []
     while len(tasks) < count:
-        pose = Pose(*rng.uniform((1, 1), (39, 29)), float(rng.uniform(-np.pi, np.pi)))
+        pose = Pose(*map(float, rng.uniform((1, 1, -np.pi), (39, 29, np.pi))))
         if grid.footprint_free([pose], model.vehicle)[0]:
             prize = float(rng.integers(1, 5))
             tasks.append(Task(f"task {len(tasks)}", pose, 60.0, 150.0, prize=prize, required=False))

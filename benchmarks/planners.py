@@ -261,20 +261,21 @@ def sizes(largest: int, plot: str | None) -> None:
     print(f"map and first plan grow with the power {slope:.2f} of the area")
     if plot:
         figure = plots.figure(2, 1, size=(plots.WIDTH, 6.4))
-        times, memory = figure.axes
+        seconds, megabytes = figure.axes
         lines = (
             (1, "map", plots.GREEN, "^-"), (2, "first plan", plots.BLUE, "o-"),
             (3, "then within 3 % of the bound", plots.RED, "s--"),
         )  # fmt: skip
         for column, label, color, look in lines:
-            times.loglog(area, rows[:, column], look, ms=5, color=color, label=label)
-        times.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
-        times.set_ylabel("CPU time [s]")
-        memory.loglog(area, rows[:, 4], "o-", ms=5, color=plots.PURPLE, label="peak of the process")
-        memory.loglog(area, rows[-1, 4] * area / area[-1], "k:", label="linear in the area")
-        memory.set_ylim(bottom=100.0)
-        memory.set_ylabel("memory [MB]")
-        for axes in (times, memory):
+            seconds.loglog(area, rows[:, column], look, ms=5, color=color, label=label)
+        seconds.loglog(area, rows[-1, 2] * area / area[-1], "k:", label="linear in the area")
+        seconds.set_ylabel("CPU time [s]")
+        peak = {"color": plots.PURPLE, "label": "peak of the process"}
+        megabytes.loglog(area, rows[:, 4], "o-", ms=5, **peak)
+        megabytes.loglog(area, rows[-1, 4] * area / area[-1], "k:", label="linear in the area")
+        megabytes.set_ylim(bottom=100.0)
+        megabytes.set_ylabel("memory [MB]")
+        for axes in (seconds, megabytes):
             axes.set_xlabel("cells of the map [1]")
             plots.legend(axes, above=True)
         Path(plot).write_bytes(png(figure))

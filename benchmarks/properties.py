@@ -196,10 +196,10 @@ def _preset(rng: np.random.Generator) -> EnergyCost:
     """Return the cost of a preset on tread ICRs of its own."""
     model = PowerModel.preset(str(rng.choice(sorted(MODEL_PRESETS))))
     icr = model.vehicle.icr
-    sides = rng.uniform(0.7, 1.3, 2) * (icr.left, icr.right)
+    left, right = rng.uniform(0.7, 1.3, 2) * (icr.left, icr.right)
     vehicle = replace(
         model.vehicle,
-        icr=TreadICR(*sides, icr.longitudinal + float(rng.uniform(-0.05, 0.05))),
+        icr=TreadICR(float(left), float(right), icr.longitudinal + float(rng.uniform(-0.05, 0.05))),
         drive_efficiency=float(rng.uniform(0.6, 1.0)),
         regen_efficiency=float(rng.uniform(0.0, 1.0)),
     )

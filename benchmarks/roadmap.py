@@ -52,7 +52,7 @@ def main() -> None:
             blind = nx.dijkstra_path(priced, source, target, weight="cost")
             line = graph.edge_subgraph(list(pairwise(blind)))
             other = Roadmap(line, cost).route(source, target)
-            saved.append(1 - best.energy_steady / other.energy_steady)
+            saved.append(1 - best.energy / other.energy)
         print(
             f"{len(graph):5d}  {states:6d}  {build:9.2f}  {1e3 * np.median(took):10.1f}  "
             f"{100 * np.median(saved):39.1f} %  {100 * max(saved):5.1f} %"

@@ -1,8 +1,9 @@
 """Rows of a field in the order of least energy: against row after row, and its processor time.
 
-    python benchmarks/rows.py [ROWS...] [--effort UNITS] [--seed SEED]
+    python benchmarks/rows.py [ROWS...] [--effort UNITS] [--seed SEED] [--trees]
 
-Rows are parallel, 2 m apart, and differ in length and place; each may be driven either way.
+Rows are parallel, 2 m apart, and differ in length and place; each may be driven either way. With
+trees a line of them stands between each two rows, so that the robot turns beyond its ends.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
 
-def field(rows: int, seed: int, effort: int) -> Mission:
+def field(rows: int, seed: int, effort: int, trees: bool = False) -> Mission:
     """Return a field of rows and a robot at its corner."""
     rng = np.random.default_rng(seed)
     model = replace(PowerModel.preset("quadriga:empty:marble"), covariance=None, residual=None)
@@ -29,18 +30,21 @@ def field(rows: int, seed: int, effort: int) -> Mission:
         Task(f"row {k + 1}", path=[(begin[k], 4.0 + 2.0 * k), (end[k], 4.0 + 2.0 * k)], power=80.0)
         for k in range(rows)
     )
-    grid = OccupancyGrid(np.zeros((10 * rows + 40, 200), bool), 0.2)
+    occupied = np.zeros((10 * rows + 40, 200), bool)
+    if trees:
+        occupied[25 : 15 + 10 * rows : 10, 50:120:5] = True
+    grid = OccupancyGrid(occupied, 0.2)
     return Mission(
         model, grid, Battery.preset("quadriga"), (2.0, 2.0, 0.0), tasks, order="free",
         return_to="start", confidence=0.5, spreads=Spreads.none(), planning_effort=effort,
     )  # fmt: skip
 
 
-def main(counts: list[int], seed: int, effort: int) -> None:
+def main(counts: list[int], seed: int, effort: int, trees: bool) -> None:
     """Print a line for each number of rows."""
     evaluate(field(3, seed, effort))  # compiles the kernels
     for count in counts:
-        asked, routes = field(count, seed, effort), Routes()
+        asked, routes = field(count, seed, effort, trees), Routes()
         begun = time.process_time()
         found = evaluate(asked, routes=routes)
         spent = time.process_time() - begun
@@ -60,5 +64,6 @@ if __name__ == "__main__":
     parser.add_argument("rows", nargs="*", type=int, default=[8, 24, 60])
     parser.add_argument("--effort", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--trees", action="store_true")
     given = parser.parse_args()
-    main(given.rows, given.seed, given.effort)
+    main(given.rows, given.seed, given.effort, given.trees)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,7 +31,10 @@ CHAIN = runpy.run_path(str(TESTS / "limits" / "test_chain.py"))
 PAPER, LOSSY = REFERENCE["PAPER"], REFERENCE["LOSSY"]
 
 
-def timed(work: Callable[[], object]) -> tuple[object, float]:
+Result = TypeVar("Result")
+
+
+def timed(work: Callable[[], Result]) -> tuple[Result, float]:
     """Return the result and the time of a call [s]."""
     start = time.perf_counter()
     result = work()

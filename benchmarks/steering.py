@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path as File
+from typing import Any
 
 import numpy as np
 from ompl import base
@@ -46,7 +47,7 @@ def seconds(work: Callable[[], object], repeat: int = 3) -> float:
     return best
 
 
-def reeds_shepp(starts: np.ndarray, goals: np.ndarray, radius: float) -> list[tuple]:
+def reeds_shepp(starts: np.ndarray, goals: np.ndarray, radius: float) -> list[tuple[Any, Any, Any]]:
     """States of OMPL's Reeds-Shepp space."""
     space = base.ReedsSheppStateSpace(radius)
     states = []
@@ -62,7 +63,7 @@ def reeds_shepp(starts: np.ndarray, goals: np.ndarray, radius: float) -> list[tu
     return [(space, *pair) for pair in zip(*states, strict=True)]
 
 
-def reeds_shepp_energy(space: object, start: object, goal: object, cost: EnergyCost) -> float:
+def reeds_shepp_energy(space: Any, start: Any, goal: Any, cost: EnergyCost) -> float:
     """Joules of the shortest Reeds-Shepp word, driven as it is: its length and its turning."""
     state = space.allocState()
     yaws = []

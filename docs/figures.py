@@ -22,6 +22,7 @@ import energyplan as ep
 from energyplan.io.files import bundled
 from energyplan.output import plots
 from energyplan.output.plots import image
+from energyplan.output.plots.style import CYCLE
 from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
 from energyplan.planning import Budget
 from energyplan.planning.search.optimise import Refiner
@@ -99,7 +100,7 @@ def planner() -> Figure:
     query = compiled(problem).leading
     budget = Budget(effort=50_000)
     to_go = cost_to_go(query.setting)
-    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000).chain
+    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000, False).chain
     cells = poses_along(to_go.places, query.setting, route)
     ways = cheapest_routes(query.setting, to_go, budget)
     followed = [query.path(way) for way in ways]
@@ -121,6 +122,52 @@ def planner() -> Figure:
     place.plot(*cells[:, :2].T, ".", ms=4, color="0.4", label="cells of the first route")
     plots.route(place, best, f"the best, optimised: {query.value(best):.0f} J", plots.BLUE, "-")
     plots.legend(place, above=True)
+    return made
+
+
+def planner_steps() -> Figure:
+    """One problem, and what each step of the planner makes of it."""
+    problem = warehouse()
+    query, budget = compiled(problem).leading, Budget(effort=50_000)
+    to_go = cost_to_go(query.setting)
+    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000, False).chain
+    cells = poses_along(to_go.places, query.setting, route)
+    ways = cheapest_routes(query.setting, to_go, budget)
+    followed = [query.path(way) for way in ways]
+    refined = []
+    for way in ways:
+        refiner, own = Refiner(query.setting, way), budget.part(0.2)
+        refiner.shortcut(own)
+        refiner.polish(own)
+        refined.append(query.path(refiner.segments))
+    plan = ep.plan(problem, effort=50_000)
+    made = Figure(figsize=(plots.WIDTH, 5.6), layout="constrained")
+    axes = made.subplots(3, 2, sharex=True, sharey=True).ravel()
+    places = to_go.places
+    free = np.bitwise_count(places.masks).reshape(-1, places.columns + 4)[2:-2, 2:-2] / 64.0
+    distance = np.full(places.masks.shape, np.nan)
+    np.fmin.at(distance, places.home, np.where(to_go.distance < 1e6, to_go.distance, np.nan))
+    distance = distance.reshape(-1, places.columns + 4)[2:-2, 2:-2]
+    width, height = places.columns * places.spacing, len(free) * places.spacing
+    about = {"origin": "lower", "extent": (0.0, width, 0.0, height), "interpolation": "none"}
+    for ax in axes:
+        plots.occupancy(ax, problem.map)
+        ax.set(xlabel="", ylabel="")
+    axes[0].imshow(free, cmap="Blues", alpha=0.8, **about)
+    axes[1].imshow(distance, cmap="viridis_r", alpha=0.8, **about)
+    axes[2].plot(*cells[:, :2].T, ".", ms=3, color=plots.RED)
+    for path, color in zip(followed, CYCLE, strict=False):
+        axes[3].plot(*path.poses(0.05, 0.05)[:, :2].T, color=color, lw=1.0)
+    for path, color in zip(refined, CYCLE, strict=False):
+        axes[4].plot(*path.poses(0.05, 0.05)[:, :2].T, color=color, lw=1.0)
+    axes[5].plot(*plan.path.poses(0.05, 0.05)[:, :2].T, color=plots.BLUE, lw=1.4)
+    first, last = (f"{min(map(query.value, paths)):.0f} J" for paths in (followed, refined))
+    for number, (ax, title) in enumerate(zip(axes, (
+        "free headings", "distance to go", "cheapest route, as cells",
+        f"{len(followed)} routes, followed: {first}", f"shortcuts, moved poses: {last}",
+        f"plan {plan.energy_driven:.0f} J, bound {plan.lower_bound:.0f} J",
+    ), strict=True), 1):  # fmt: skip
+        ax.set_title(f"{number}. {title}", fontsize="small", loc="left")
     return made
 
 
@@ -251,7 +298,7 @@ def friction() -> Figure:
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     "iso_energy": iso_energy, "turns": turns, "bound": bound, "residual": residual,
-    "told_taken": told_taken, "range": reach, "planner": planner,
+    "told_taken": told_taken, "range": reach, "planner": planner, "planner_steps": planner_steps,
     "friction": friction,
 }  # fmt: skip
 

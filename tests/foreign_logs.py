@@ -363,6 +363,16 @@ def no_reading_by_a_number(at: At) -> Files:
 # -- the tables ------------------------------------------------------------------------------------
 
 READ: dict[str, Writer] = {
+    "Fahrt 1": lambda at: csv({
+        "Uhrzeit": [stamp.isoformat() for stamp in at.stamps.tz_localize("Europe/Berlin")],
+        "v links [km/h]": 3.6 * at.left, "v rechts [km/h]": 3.6 * at.right,
+        "Leistung [kW]": 1e-3 * at.power, "Gierrate [°/s]": DEG * at.yaw_rate,
+    }, sep=";", decimal=",", encoding="cp1252"),
+    # milliseconds in sixteen bits
+    "a_counter_that_overflows": lambda at: csv(
+        {"t_ms": (np.round(1e3 * at.t) + 30_000) % 65_536, **at.house().drop(columns="t")}),
+    "minutes_and_seconds": lambda at: csv(
+        at.house().assign(t=[f"{t // 60:02.0f}:{t % 60:06.3f}" for t in at.t])),
     "four_wheels_in_rpm": lambda at: csv({
         "timestamp_ms": np.round(1e3 * (EPOCH + at.t)).astype(np.int64),
         **at.wheels(RPM, ("FL (rpm)", "FR (rpm)", "RL (rpm)", "RR (rpm)")), "batt_V": at.volts,
@@ -499,15 +509,6 @@ REFUSED: dict[str, Refused] = {
             "dcCurr": np.round(100 * at.amps)}),
         r"2\d\.\d V in .*voltage=batVoltage\[\*0.01\]",
         {"columns": "voltage=batVoltage[*0.01],current=dcCurr[*0.01]"}),
-    "Fahrt 1": Refused(
-        lambda at: csv({
-            "Uhrzeit": [stamp.isoformat() for stamp in at.stamps.tz_localize("Europe/Berlin")],
-            "v links [km/h]": 3.6 * at.left, "v rechts [km/h]": 3.6 * at.right,
-            "Leistung [kW]": 1e-3 * at.power, "Gierrate [°/s]": DEG * at.yaw_rate,
-        }, sep=";", decimal=",", encoding="cp1252"),
-        "the columns are Uhrzeit, .* say which it is with --columns v_left=NAME",
-        {"columns": "t=Uhrzeit,v_left=v links [km/h],v_right=v rechts [km/h],"
-                    "power=Leistung [kW],yaw_rate=Gierrate [°/s]"}),
     "utf16": Refused(
         lambda at: csv({
             " time [ns] ": at.nanoseconds, " left speed [mm/s] ": 1e3 * at.left,
@@ -524,11 +525,6 @@ REFUSED: dict[str, Refused] = {
     "american_dates": Refused(
         lambda at: csv(at.house().assign(t=at.stamps.strftime("%m/%d/%Y %I:%M:%S.%f %p"))),
         "ISO 8601, as in 2026-05-04T23:58:30.125"),
-    # milliseconds in sixteen bits
-    "a_counter_that_overflows": Refused(
-        lambda at: csv({"t_ms": (np.round(1e3 * at.t) + 30_000) % 65_536,
-                        **at.house().drop(columns="t")}),
-        r"line 358, .* ran over: .* map t=row\[\*PERIOD\]", {"columns": "t=row[*0.1]"}),
     # counters of 16 bits; those of the left count down on the way ahead
     "encoders_of_four_wheels": Refused(
         lambda at: csv({
@@ -608,9 +604,6 @@ REFUSED: dict[str, Refused] = {
         r"rows come at a steady rate, .* t=row\[\*0.05\]"),
     "no_reading_by_a_number": Refused(
         no_reading_by_a_number, "where -9999 stands for no reading, leave the cell empty"),
-    "minutes_and_seconds": Refused(
-        lambda at: csv(at.house().assign(t=[f"{t // 60:02.0f}:{t % 60:06.3f}" for t in at.t])),
-        "line 2: 't' is '00:00.000', .* times since the start in seconds"),
     "commas_in_decimals": Refused(
         lambda at: csv(at.house().map("{:.3f}".format).replace(r"\.", ",", regex=True),
                        quoting=3, escapechar=" "),

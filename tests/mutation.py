@@ -66,7 +66,7 @@ TESTS = {
 """Tests of a part of the package besides `tests/PART` and `tests/test_PART.py`."""
 
 ALWAYS = "tests/docs/test_conventions.py::test_data_are_frozen"
-"""A test that should notice changes of any part."""
+"""A test that reads the source of every module: it executes none of them."""
 
 PYTEST = sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"
 
@@ -470,7 +470,8 @@ def noticed_by(change: MutationSpec, tests: Sequence[str], trial: Trial) -> tupl
         if not tests:
             places = tuple(tests_of(module))
             tests = [name for name in trial.items if name.startswith(places)]
-        tests = [test for test in tests if test in trial.items]
+        always = [] if kernels or functions else [ALWAYS]
+        tests = [test for test in [*always, *tests] if test in trial.items]
         for part in (tests[:FIRST], _enough(tests[FIRST:], executed.times)):
             if not part:
                 continue

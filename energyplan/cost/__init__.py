@@ -14,8 +14,10 @@ an element costs beyond it is again never negative (docs/planner, "Slopes").
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +34,15 @@ from energyplan.vehicle import MotorLimits, TreadICR, Vehicle, layout, wheel_loa
 
 _ALL_ROUND = -np.pi, np.pi  # headings [rad]
 _STANDSTILL, _SCAN = 1e-7, 97  # slowest speed tried, over the largest, and how many are tried
+
+
+class DrivenRates(NamedTuple):
+    """Rates of a bound on drives; see `energyplan.planning.driven.driven_bound`."""
+
+    share: float  # least price of a motion at any speed, over its price at steady speeds [1]
+    still: float  # least price of a second at any speed
+    # how quickly the steady price of what is covered in a second grows at most, from a standstill
+    quickest: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,11 +280,11 @@ class EnergyCost(SteadyDriving):
         """
         return lower_bound(self._element_energy, self.icr, point)
 
-    def driven_share(self, energy: float = 1.0, time: float = 0.0) -> float:
-        """Return the least weighed price of a motion at any speed that a drive has, over its price.
+    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates:
+        """Return what no drive takes less than, where a joule and a second are weighed.
 
         Drives pass all speeds from a standstill up to the largest; a motion may take less at one of
-        them than at the speed that it is priced at. Weights are those of a joule and of a second.
+        them than at the speed that it is priced at.
         """
         top = min(self.vehicle.motor.speed, self.tread_speed or np.inf)
 
@@ -283,33 +294,43 @@ class EnergyCost(SteadyDriving):
                 energy * joules + (time * self._element_duration(x, y) if time else 0)
             )
 
-        def share(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
-            def least(rate: FloatArray) -> FloatArray:
-                def power(yaw: ArrayLike) -> FloatArray:
-                    return self._least_drawn.power(self._motion(x, y, rate, yaw=yaw))
+        def power(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
+            def drawn(yaw: ArrayLike) -> FloatArray:
+                return self._least_drawn.power(self._motion(x, y, rate, yaw=yaw))
 
-                if not self.of_heading:
-                    return power(0.0)
-                shape = np.broadcast_shapes(x.shape, np.shape(rate))
-                return least_between(power, *_ALL_ROUND, shape)
+            if not energy:
+                return np.full(np.broadcast_shapes(x.shape, np.shape(rate)), time)
+            if not self.of_heading:
+                return np.asarray(energy * drawn(0.0) + time)
+            shape = np.broadcast_shapes(x.shape, np.shape(rate))
+            return np.asarray(energy * least_between(drawn, *_ALL_ROUND, shape) + time)
 
-            def value(rate: FloatArray) -> FloatArray:
-                return np.asarray((energy * (least(rate) if energy else 0.0) + time) / rate)
-
+        def least(
+            value: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+            x: FloatArray, y: FloatArray,
+        ) -> FloatArray:  # fmt: skip
+            """Return the least values over all speeds."""
+            x, y = x.ravel(), y.ravel()
             with np.errstate(divide="ignore"):
                 turns = self.vehicle.max_yaw_rate * self.half_track / np.abs(y)
             limit = np.asarray(np.minimum(top / (np.abs(x) + np.abs(y)), turns))
             limit = self._within_limit(x, y, limit)
-            rate = speeds.cheapest_rate(_STANDSTILL * limit, limit, value, _SCAN)
-            return np.asarray(value(rate).reshape(prices.shape) / prices)
+            of = partial(value, x, y)
+            return of(speeds.cheapest_rate(_STANDSTILL * limit, limit, of, _SCAN))
 
-        def flat(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
-            return share(x.ravel(), y.ravel(), prices.ravel())
+        def per_element(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
+            return np.asarray(power(x, y, rate) / rate)
 
         infimum = Infimum(price)
-        least = infimum.least(flat)
+        share = infimum.least(lambda x, y, prices: least(per_element, x, y) / prices.ravel())
         # the speed that is priced is one of them
-        return 1.0 if least >= 1.0 - ROUNDING else least * (1.0 - SLACK)
+        share = 1.0 if share >= 1.0 - ROUNDING else share * (1.0 - SLACK)
+        if self.of_heading or not np.isfinite(self.vehicle.motor.acceleration):
+            return DrivenRates(share, 0.0, np.inf)
+        still = infimum.least(lambda x, y, _: least(power, x, y))
+        travel = infimum.least(lambda x, y, prices: (np.abs(x) + np.abs(y)) / prices)
+        quickest = self.vehicle.motor.acceleration * (1.0 + SLACK) / (travel * (1.0 - SLACK))
+        return DrivenRates(share, max(still - SLACK * abs(still), 0.0), quickest)
 
     @cached_property
     def _corners(self) -> Corners:

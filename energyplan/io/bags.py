@@ -8,7 +8,7 @@ import struct
 import zlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
 from importlib import import_module
@@ -18,6 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
@@ -41,7 +42,7 @@ from energyplan.logs.mapping import (
     formula,
     split_unit,
 )
-from energyplan.logs.tables import Recording, of_messages
+from energyplan.logs.tables import Recording, of_messages, other_kind
 from energyplan.path import FloatArray
 from energyplan.units import RATES
 
@@ -251,7 +252,7 @@ def topic_map_of(vehicle: str) -> str | None:
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, in addition to folders with a ``metadata.yaml``."""
 _LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
-_MAGIC = b"#ROSBAG V2.0\n"
+_MAGIC = {".bag": b"#ROSBAG V2.0\n", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3"}
 _LARGEST_CHUNK = 1 << 26  # bytes; ROS makes them of 768 kB, or of one larger message
 _LARGEST_MESSAGE = 1 << 16  # bytes; larger ones are images and the like
 _LARGEST_METADATA = 1 << 23  # bytes; a topic takes a few hundred
@@ -500,9 +501,9 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
         first = file.suffix.lower() == ".bag"
         own = get_typestore(Stores.EMPTY)
         # Bags of ROS 2 before Iron do not carry their message definitions.
-        usual = get_typestore(Stores.EMPTY if first else Stores.ROS2_HUMBLE)
+        stock = get_typestore(Stores.EMPTY if first else Stores.ROS2_HUMBLE)
         for kind, text in definitions.items():
-            usual.register(get_types_from_msg(text, kind))
+            stock.register(get_types_from_msg(text, kind))
         with (rosbag1.Reader if first else rosbag2.Reader)(file) as reader:
             if isinstance(reader, rosbag1.Reader):
                 reader.chunks = {
@@ -513,16 +514,21 @@ def opened_bag(file: Path, definitions: Mapping[str, str] = MappingProxyType({})
             for one in reader.connections:
                 try:
                     _define(own, one)
+                    if one.msgtype not in own.types and one.msgtype in stock.types:
+                        _check_digest(stock, one)
                 except unsound as problem:
                     lost[one.topic] = f"its type {one.msgtype} cannot be read: {said(problem)}"
-                if one.msgtype not in own.types and one.msgtype not in usual.types:
+                if one.msgtype not in own.types and one.msgtype not in stock.types:
                     lost.setdefault(
-                        one.topic, f"the bag does not hold the definition of {one.msgtype}"
-                    )
-            yield Bag(file.name, reader, (own, usual), lost)
+                        one.topic, f"the bag does not hold the definition of {one.msgtype}; record "
+                        "it where its package is installed, or republish it as a type of ROS"
+                    )  # fmt: skip
+            yield Bag(file.name, reader, (own, stock), lost)
     except EnergyPlanError:
         raise
     except unsound as problem:
+        if kind := _database_kind(file):
+            raise DriveLogError(f"{file} {kind}") from None
         encoding = _encoding(file)
         if encoding:
             raise DriveLogError(
@@ -545,12 +551,19 @@ def _define(store: Any, connection: Any) -> None:
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     form, text = connection.msgdef
+    if not text.strip():  # it was recorded where the definition was not installed
+        return
     if form.name == "MSG":
         store.register(get_types_from_msg(text, connection.msgtype))
     elif form.name == "IDL":
         parts = re.split("^=+\nIDL: .*\n", text, flags=re.MULTILINE)
         for part in filter(str.strip, parts):
             store.register(get_types_from_idl(part))
+    _check_digest(store, connection)
+
+
+def _check_digest(store: Any, connection: Any) -> None:
+    """Refuse a type that is not the one that a connection's messages were recorded with."""
     digest = str(connection.digest)
     if digest.startswith("RIHS") and store.hash_rihs01(connection.msgtype) != digest:
         raise ValueError("its definition is not the one that it was recorded with")
@@ -558,6 +571,32 @@ def _define(store: Any, connection: Any) -> None:
 
 _ENCODINGS = {"json": "JSON", "protobuf": "Protobuf", "flatbuffer": "FlatBuffers", "cbor": "CBOR"}
 """Other encodings of messages in an MCAP file than that of ROS 2."""
+
+
+def _database_kind(file: Path) -> str:
+    """Say of an SQLite database why it alone is no bag; empty where it may be one."""
+    if file.suffix.lower() != ".db3" or not is_file(file):
+        return ""
+    try:
+        with closing(
+            sqlite3.connect(f"file:{quote(str(file.resolve()))}?mode=ro", uri=True)
+        ) as base:
+            first = base.execute("select data from messages limit 1").fetchone()
+    except sqlite3.OperationalError as problem:
+        if "no such table" not in str(problem):
+            return ""
+        return (
+            "is an SQLite database, and no bag: it has no table of messages; sqlite3 -header -csv "
+            f"{file.name} 'select * from TABLE' > log.csv makes a table of it"
+        )
+    except sqlite3.Error:
+        return ""
+    if first is not None and bytes(first[0])[:4] == b"\x28\xb5\x2f\xfd":
+        return (
+            "holds messages that are compressed one by one, which its metadata.yaml alone says: "
+            "give the folder with both"
+        )
+    return ""
 
 
 def _encoding(file: Path) -> str:
@@ -581,10 +620,14 @@ def _check_beginning(file: Path) -> None:
     """Refuse what rosbags would wait for, or take into memory whole before it finds it no bag."""
     if file.exists() and not (file.is_file() or file.is_dir()):
         raise ValueError("it is no regular file")
-    if file.suffix.lower() == ".bag":
+    mark = _MAGIC.get(file.suffix.lower())
+    if mark is not None and file.is_file():
         with file.open("rb") as stream:
-            if stream.read(len(_MAGIC)) != _MAGIC:
-                raise ValueError("it does not begin as a ROS 1 bag does")
+            sound = stream.read(len(mark)) == mark
+        if not sound and (kind := other_kind(file)):
+            raise DriveLogError(f"{file} is {kind}")
+        if not sound and file.suffix.lower() == ".bag":
+            raise ValueError("it does not begin as a ROS 1 bag does")
     metadata = file / "metadata.yaml"
     if is_file(metadata) and metadata.stat().st_size > _LARGEST_METADATA:
         raise ValueError(f"its metadata.yaml is larger than {_LARGEST_METADATA >> 20} MiB")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
@@ -108,6 +108,21 @@ def read_features(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     return document, features
 
 
+def unused(given: Iterable[Any], used: Collection[str], idle: Collection[str]) -> list[str]:
+    """Return keys that a reader does not use, but for those that change no answer, each once.
+
+    Every reader of another tool's file names them, and lists the idle ones with their reasons.
+    """
+    return [key for key in dict.fromkeys(map(str, given)) if key not in used and key not in idle]
+
+
+def warn_of_unused(place: str, keys: Sequence[str]) -> None:
+    """Warn of keys that are not used, if there are any."""
+    if keys:
+        more = f" and {len(keys) - 10} more" if len(keys) > 10 else ""
+        warn(f"{place}: keys that are not used: {', '.join(keys[:10])}{more}", stacklevel=4)
+
+
 MAX_BYTES = 1 << 20
 """Largest YAML file that is read [bytes]."""
 MAX_NODES = 50_000
@@ -134,6 +149,10 @@ _TELLING = {
     "waypoints of Nav2: give them as the tasks of a mission, as in tasks: waypoints.yaml": {
         "waypoints"
     },
+    "a map of OpenMower: draw its areas as GeoJSON polygons, in metres, under surfaces": {
+        "areas",
+        "docking_stations",
+    },
     "Clearpath's robot.yaml: give its robot by name, such as husky_a200 or jackal, or start with "
     "--like robot.yaml": {"serial_number", "platform"},
 }
@@ -143,20 +162,24 @@ _OF_ROS = (
     "a parameters file of ROS 2: of a vector object server, give the areas to keep out of as "
     "GeoJSON polygons with keep_out, under surfaces; of a planner, the map that it names"
 )
+_IN_DEGREES = (
+    ", over longitude and latitude: write them in metres of the map, as in tasks: [{name: w1, "
+    "pose: [X, Y, YAW]}]"
+)
+_GOALS = "write its goals as tasks: [{name: a, pose: [X, Y, YAW]}]"
 _BEGINS = {
-    b"QGC WPL": "waypoints of MAVLink, over longitude and latitude: write them in metres of the "
-    "map, as in tasks: [{name: w1, pose: [X, Y, YAW]}]",
-    b"<root": "XML, such as a behaviour tree: write its goals as tasks: [{name: a, pose: [X, Y, "
-    "YAW]}]",
-    b"<?xml": "XML, such as a behaviour tree or a launch file: write its goals as tasks: [{name: "
-    "a, pose: [X, Y, YAW]}]",
-    b"\x89PNG": "an image: name it in the YAML file of a map, as image: FILE.png",
-    b"P5": "an image: name it in the YAML file of a map, as image: FILE.pgm",
-    b"PK\x03\x04": "a zip archive, as spreadsheets are: export a table as CSV",
-    b"SQLite format 3": "a database of SQLite, as ROS 2 bags are: it is no configuration",
-    b"\x89MCAP": "a bag (MCAP): it is no configuration",
+    rb"QGC WPL": f"waypoints of MAVLink{_IN_DEGREES}",
+    rb"(<\?xml[^>]*>\s*)?<gpx": f"GPX, waypoints or tracks{_IN_DEGREES}",
+    rb"(<\?xml[^>]*>\s*)?<kml": f"KML, places or tracks{_IN_DEGREES}",
+    rb"<root": f"XML, such as a behaviour tree: {_GOALS}",
+    rb"<(\?xml|\w)": f"XML, such as a behaviour tree or a launch file: {_GOALS}",
+    rb"\x89PNG": "an image: name it in the YAML file of a map, as image: FILE.png",
+    rb"P[25]\s": "an image: name it in the YAML file of a map, as image: FILE.pgm",
+    rb"PK\x03\x04": "a zip archive, as spreadsheets are: export a table as CSV",
+    rb"SQLite format 3": "a database of SQLite, as ROS 2 bags are: it is no configuration",
+    rb"\x89MCAP": "a bag (MCAP): it is no configuration",
 }
-"""What a file is that is no YAML, by how it begins."""
+"""What a file is that is no YAML, by how it begins, as regular expressions."""
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 _EXTRA = ("extra_forbidden", "unexpected_keyword_argument")
@@ -337,8 +360,10 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
         raise error(f"{source} is larger than {MAX_BYTES >> 10} KiB; {NO_CONFIGURATION}")
     head = (content if isinstance(content, bytes) else content[:80].encode()).lstrip()
     for begin, what in _BEGINS.items():
-        if head.startswith(begin):
+        if re.match(begin, head):
             raise error(f"{source} is {what}")
+    if isinstance(content, bytes) and content.rstrip().endswith(b"\n---"):
+        content = content.rstrip()[:-3]  # ros2 topic echo ends a message so
     lines: dict[Loc, int] = {}
     builder = _Builder(source, error, lines)
     try:

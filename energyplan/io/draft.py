@@ -30,6 +30,7 @@ from energyplan.logs.compass import Recorded, counts_from_north
 from energyplan.logs.consistency import POWERS, correlation
 from energyplan.logs.guess import (
     ENCODER,
+    electric,
     guess,
     guess_ahead,
     guess_encoders,
@@ -60,22 +61,31 @@ from energyplan.path import FloatArray
 from energyplan.units import RATES
 
 
+def _measured(recording: Recording, name: str) -> bool:
+    """Return whether a series holds a reading; a power that is zero all along is none."""
+    values = recording.columns[name]
+    known = np.isfinite(values)
+    return bool(known.any() and (np.any(values[known]) or not electric(name, recording.columns)))
+
+
 def _refuse_blank(recording: Recording, needed: Sequence[str]) -> None:
     """Refuse a log whose column for what is needed holds no reading at all."""
     for channel in needed:
         ways = (channel,) if channel != "power" else ("power", "current", "p_left", "voltage")
         found = guess(recording.columns)
         for one in (found[way] for way in ways if way in found):
-            if not np.isfinite(recording.column(one.field)).any():
+            if not _measured(recording, one.field):
+                known = np.isfinite(recording.column(one.field)).any()
                 raise DriveLogError(
-                    f"{recording.source}: {one.field} is never measured: it is nan in all rows, as "
+                    f"{recording.source}: {one.field} is never measured: it is "
+                    f"{'0' if known else 'nan'} in all rows, as "
                     "of a driver without that sensor; log one that measures it, or map another "
                     f"column, as in --columns {one.channel}=NAME"
                 )
 
 
 _CONSUMED = {
-    "current": {"ah", "mah", "charge", "amphours"},
+    "current": {"ah", "mah", "charge", "amphours", "coulomb", "coulombs"},
     "power": {"wh", "kwh", "energy", "joule", "joules", "consumed", "used"},
 }
 """Words of counters of charge and of energy."""
@@ -84,56 +94,24 @@ _CONSUMED = {
 def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
     """Say what is missing, and why what could be it is not."""
     _refuse_blank(recording, needed)
-    text = guess(recording.text)
-    for channel in needed:
-        ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
-        for one in (text[way] for way in ways if way in text):
-            recording.column(one.field)  # says which cell is no number
+    _refuse_text(recording, needed)
     names, columns, hint = [*recording.columns, *recording.text], recording.columns, ""
     if kinds := serving(recording, "current" if "power" in needed else "v_left"):
         # Their messages are known, so that other names are no hint, but for those of motors.
         names = [name for name in names if "rpm" in words(name)]
         columns = {name: columns[name] for name in names}
         hint = f"; {' or '.join(kinds)} holds it: have the flight controller log that"
-    for name, cell in recording.text.items():
-        if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
-            recording.column(name)  # says how to write instants
+    lost = [note for topic, note in recording.notes.items() if topic not in recording.kinds]
+    hint += "".join(f"; {note}" for note in lost[:3])
+    wanted = {*needed, "p_left", "p_right"}
+    wanted |= {"voltage", "current"} if "power" in needed else set()
     for name in names:
         bare, unit = split_unit(name)
-        if unit and not is_unit(unit) and {*guess([bare])} & {*needed, "p_left", "p_right"}:
+        if unit and not is_unit(unit) and {*guess([bare])} & wanted:
             hint += f"; the unit of {name!r} is not known: give its factor, as in NAME[*0.01]"
             break
-    if {"v_left", "v_right"} & set(needed):
-        hint += "; v_left and v_right are the speeds of the left and right wheels"
-        counted = [name for name in names if ENCODER & set(words(name))]
-        numbered = numbered_speeds(names)
-        electric = electrical_rates(recording)
-        electric += [name for name in names if "erpm" in words(name)]
-        if numbered and not electric:
-            first, second = numbered[:2]
-            hint += (
-                f"; of {', '.join(map(repr, numbered[:4]))} nobody but you knows which side each "
-                f'is: give --columns "v_left={first}[UNIT],v_right={second}[UNIT]", with UNIT such '
-                "as rpm*RADIUS, rev/s*RADIUS, or ticks*METRES_PER_COUNT (ticks*1 of metres gone)"
-            )
-        elif electric:
-            hint += (
-                f"; {electric[0]!r} seems to be a motor's electrical rate: give v_left="
-                f"{electric[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs, "
-                "and v_right alike"
-            )
-        elif counted:
-            hint += (
-                f"; {counted[0]!r} seems to be an encoder's: map those of the left and of the "
-                f"right wheels with the metres per count, as in v_left={counted[0]}[ticks*0.0001] "
-                "where it counts on, [ticks/sample*0.0001] where it counts from row to row, "
-                "[ticks/s*0.0001] where it counts in a second"
-            )
-        elif guess_ahead(columns) and guess_turns(columns):
-            hint += (
-                "; of the body's speed V and turn rate W they are made as in v_left=V-0.25*W,"
-                "v_right=V+0.25*W with half the track, though slip is then unseen"
-            )
+    if {*SPEEDS} & set(needed):
+        hint += _of_speeds(recording, names, columns)
     if "t" in needed:
         number = next((n for n, values in columns.items() if counts_rows(values)), "")
         counts = f"{number!r} counts rows: if they" if number else "where rows"
@@ -141,36 +119,91 @@ def refuse(recording: Recording, needed: Sequence[str]) -> NoReturn:
             f"; {counts} come at a steady rate, give the time from row to row, as in "
             f"t={number or ROW}[*0.05] for 50 ms"
         )
-    used = [
-        (name, channel)
-        for name, values in columns.items() if grows(values)
-        for channel in ("current", "power") if _CONSUMED[channel] & set(words(name))
-    ]  # fmt: skip
-    if "power" in needed and used:
-        name, channel = used[0]
-        hint += (
-            f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
-            f"{' or '.join(_counter_ways(recording, name, (channel,)))}"
-        )
-    amps = guess(columns).get("current")
-    if "power" in needed and amps is not None and len(amps.plus) == 1:
-        hint += (
-            f"; {amps.field!r} and {amps.plus[0]!r} make powers with the battery's voltage: of two "
-            f"sides, give current_left={amps.field}[UNIT],current_right={amps.plus[0]}[UNIT],"
-            "voltage=NAME[UNIT]"
-        )
-    elif "power" in needed and amps is not None:
-        hint += (
-            f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
-            f"as in power={amps.written}[*25.6]"
-        )
     if "power" in needed:
-        hint += _of_torques(names)
+        hint += _of_drawn(recording, columns) + _of_torques(names)
     raise DriveLogError(
         f"{recording.source}: nothing seems to be {' or '.join(needed)}{hint}; the columns are "
         f"{', '.join([*recording.columns, *recording.text][:30])}; say which it is with --columns "
         f"{needed[0]}=NAME"
     )
+
+
+def _refuse_text(recording: Recording, needed: Sequence[str]) -> None:
+    """Refuse a log where what is needed stands in a column that holds no numbers."""
+    text = guess(recording.text)
+    for channel in needed:
+        ways = (channel,) if channel != "power" else ("power", "p_left", "current", "voltage")
+        for one in (text[way] for way in ways if way in text):
+            recording.column(one.field)  # says which cell is no number
+    for name, cell in recording.text.items():
+        if "t" in needed and re.search(r"is '\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", cell):
+            recording.column(name)  # says how to write instants
+
+
+def _of_speeds(
+    recording: Recording, names: Sequence[str], columns: Mapping[str, FloatArray]
+) -> str:
+    """Say what of a log may be the speeds of the sides, once it is mapped."""
+    hint = "; v_left and v_right are the speeds of the left and right wheels"
+    encoders = [name for name in names if ENCODER & set(words(name))]
+    numbered = numbered_speeds(names)
+    rates = electrical_rates(recording)
+    rates += [name for name in names if "erpm" in words(name)]
+    if numbered and not rates:
+        first, second = numbered[:2]
+        return hint + (
+            f"; of {', '.join(map(repr, numbered[:4]))} nobody but you knows which side each "
+            f'is: give --columns "v_left={first}[UNIT],v_right={second}[UNIT]", with UNIT such '
+            "as rpm*RADIUS, rev/s*RADIUS, or ticks*METRES_PER_COUNT (ticks*1 of metres gone)"
+        )
+    if rates:
+        return hint + (
+            f"; {rates[0]!r} seems to be a motor's electrical rate: give v_left="
+            f"{rates[0]}[rpm*F], with F the wheel radius over gear ratio times pole pairs, "
+            "and v_right alike"
+        )
+    if encoders:
+        return hint + (
+            f"; {encoders[0]!r} seems to be an encoder's: map those of the left and of the "
+            f"right wheels with the metres per count, as in v_left={encoders[0]}[ticks*0.0001] "
+            "where it counts on, [ticks/sample*0.0001] where it counts from row to row, "
+            "[ticks/s*0.0001] where it counts in a second"
+        )
+    if guess_ahead(columns) and guess_turns(columns):
+        return hint + (
+            "; of the body's speed V and turn rate W they are made as in v_left=V-0.25*W,"
+            "v_right=V+0.25*W with half the track, though slip is then unseen"
+        )
+    return hint
+
+
+def _of_drawn(recording: Recording, columns: Mapping[str, FloatArray]) -> str:
+    """Say what of a log may be a power, once it is mapped: a counter, or a current."""
+    hint = ""
+    used = [
+        (name, channel)
+        for name, values in columns.items() if grows(values)
+        for channel in ("current", "power") if _CONSUMED[channel] & set(words(name))
+    ]  # fmt: skip
+    if used:
+        name, channel = used[0]
+        hint = (
+            f"; {name!r} seems to count what was used: map its rate of change by its unit, as in "
+            f"{' or '.join(_counter_ways(recording, name, (channel,)))}"
+        )
+    amps = guess(columns).get("current")
+    if amps is not None and len(amps.plus) == 1:
+        return hint + (
+            f"; {amps.field!r} and {amps.plus[0]!r} make powers with the battery's voltage: of two "
+            f"sides, give current_left={amps.field}[UNIT],current_right={amps.plus[0]}[UNIT],"
+            "voltage=NAME[UNIT]"
+        )
+    if amps is not None:
+        return hint + (
+            f"; {amps.field!r} makes a power with a voltage beside it, or the battery's usual one, "
+            f"as in power={amps.written}[*25.6]"
+        )
+    return hint
 
 
 _COUNTED = {"current": ("mAh", "Ah", "C"), "power": ("Wh", "J", "kJ")}
@@ -262,17 +295,11 @@ def draft(recording: Recording, known: Given) -> Draft:
             f"{recording.source} --vehicle VEHICLE learns from their distances, turning and "
             "energies"
         )
-    own = known.topics if recording.kinds else None
-    stock = {} if own is None else held_of(recording, TOPIC_MAPS[own])
-    if {*SPEEDS} <= {*stock} and any(set(way) <= {*stock} for way in POWER_WAYS):
-        electric = {*POWERS, "voltage"}  # one of these that is named by hand replaces all
-        stock = {
-            c: one for c, one in stock.items() if not electric & {*columns} or c not in electric
-        }
-        if isfinite(known.wheel_radius):
-            rate = f"rad/s*{known.wheel_radius:.6g}"
-            stock |= {channel: stock[channel].changed(unit=rate) for channel in SPEEDS}
-        return Draft(stock | columns, {}, [f"the topics are those of the topic map {own!r}"], given)
+    stock = _of_topic_map(recording, known, columns)
+    if stock:
+        return Draft(
+            stock | columns, {}, [f"the topics are those of the topic map {known.topics!r}"], given
+        )
     # A factor of a power, such as a wheel's rate, may serve for itself too.
     taken = {name for one in columns.values() for name in (one.field, *one.plus)}
     arrays = {_ELEMENT.sub("", name) for one in columns.values() for name in one.names
@@ -323,16 +350,38 @@ def draft(recording: Recording, known: Given) -> Draft:
         lacks.append("power")
     if lacks:
         refuse(recording, lacks)
-    for channel, one in found.items():
-        unit = one.unit
-        if channel in speeds and unit in (*RATES, *COUNTS):  # takes a radius, below
-            unit = "" if unit in RATES else f"{unit}*1"
-        columns[channel] = one.model_copy(update={"unit": unit}).mean()
-    for channel in ("slope", "temperature", "payload"):
-        if channel in recording.columns and channel not in columns:
-            columns[channel] = Column(field=channel, channel=channel)
+    columns |= _as_channels(found)
+    for channel in sorted({"slope", "temperature", "payload"} & {*recording.columns} - {*columns}):
+        columns[channel] = Column(field=channel, channel=channel)
     notes += _of_compass(recording, columns, found)
     return Draft(columns, found, notes, given, tuple(there))
+
+
+def _as_channels(found: Mapping[str, Column]) -> dict[str, Column]:
+    """Return columns as channels; what takes a radius is a rate without a unit until then."""
+    result = {}
+    for channel, one in found.items():
+        unit = one.unit
+        if channel in SPEEDS and unit in (*RATES, *COUNTS):
+            unit = "" if unit in RATES else f"{unit}*1"
+        result[channel] = one.model_copy(update={"unit": unit}).mean()
+    return result
+
+
+def _of_topic_map(
+    recording: Recording, known: Given, columns: Collection[str]
+) -> dict[str, Column]:
+    """Return the channels of the preset topic map of a bag's robot, where it holds all of them."""
+    own = known.topics if recording.kinds else None
+    stock = {} if own is None else held_of(recording, TOPIC_MAPS[own])
+    if not ({*SPEEDS} <= {*stock} and any(set(way) <= {*stock} for way in POWER_WAYS)):
+        return {}
+    powers = {*POWERS, "voltage"}  # one of these that is named by hand replaces all
+    stock = {c: one for c, one in stock.items() if not powers & {*columns} or c not in powers}
+    if isfinite(known.wheel_radius):
+        rate = f"rad/s*{known.wheel_radius:.6g}"
+        stock |= {channel: stock[channel].changed(unit=rate) for channel in SPEEDS}
+    return stock
 
 
 def _of_sides(given: Mapping[str, Column]) -> dict[str, Column]:
@@ -447,8 +496,7 @@ def _guesses(
 ) -> dict[str, Column]:  # fmt: skip
     """Guess which column is which channel; a counter of energy or charge is no power of its own."""
     names = [
-        name for name in there
-        if name not in taken and np.isfinite(recording.columns[name]).any()
+        name for name in there if name not in taken and _measured(recording, name)
     ]  # fmt: skip
     counters = {name for name in names if grows(recording.columns[name][:SOME])}
     names += [name for name in quaternions(recording.columns) if np.ptp(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from energyplan.errors import EnergyPlanError, MapError
-from energyplan.io.documents import beside, read_features
+from energyplan.io.documents import beside, read_features, unused, warn_of_unused
 from energyplan.io.files import atomic_write
 from energyplan.power import PowerModel
 from energyplan.records import NO_NUMBER, checked, doubts_of, warn
@@ -24,6 +24,15 @@ KEEP_OUT = ("keep_out", "keep-out", "keepout")
 
 GROUND = ("second", "turning_radius")
 """Properties of a surface that are numbers."""
+
+DRAWN = frozenset(
+    {"id", "fid", "gid", "ogc_fid", "description", "title", "layer", "color", "colour", "style",
+     "stroke", "stroke-width", "stroke-opacity", "fill", "fill-opacity", "marker-color",
+     "marker-size", "marker-symbol"}
+)  # fmt: skip
+"""Properties by which an editor numbers, names and draws a shape: they change no answer."""
+_OF_SURFACES = {"model", "surface", "name", "speed", *GROUND}
+_OF_OBSTACLES = {"kind", "name"}
 
 AREAS = ("Polygon", "MultiPolygon")
 LINES = ("LineString", "MultiLineString")
@@ -111,6 +120,7 @@ def read_surfaces(path: str | Path, models: Mapping[str, PowerModel] | None = No
             surfaces.append(Surface(area, known[name], str(label), **ground))
         except MapError as error:
             raise MapError(f"{place}: {error}") from None
+    _name_unused(file, features, _OF_SURFACES)
     areas = [surface.area for surface in surfaces] + [limit.area for limit in limits]
     check_metres(file, areas + keep_out)
     return SurfaceMap(tuple(surfaces), tuple(keep_out), tuple(limits))
@@ -142,6 +152,7 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
             f"{file}: every shape names a power model, so these are surfaces and no obstacles; "
             "give them beside a map"
         )
+    _name_unused(file, features, _OF_OBSTACLES)
     check_metres(file, [*obstacles, *inside])
     bounds = shapely.total_bounds(np.array([*obstacles, *inside], object))
     left, low, right, high = (float(v) for v in bounds)
@@ -152,6 +163,13 @@ def read_obstacles(path: str | Path, resolution: float = 0.05) -> OccupancyGrid:
         return OccupancyGrid.from_polygons(obstacles, (left, low, right, high), resolution)
     except MapError as error:
         raise MapError(f"{file}: {error}") from None
+
+
+def _name_unused(file: Path, features: Sequence[Mapping[str, Any]], used: Collection[str]) -> None:
+    """Name the properties of features that are not used."""
+    given = (key for one in features for key, value in one["properties"].items()
+             if value is not None)  # fmt: skip
+    warn_of_unused(str(file), unused(given, used, DRAWN))
 
 
 class Line(NamedTuple):

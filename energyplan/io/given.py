@@ -16,7 +16,7 @@ from energyplan.io.bags import (
     topic_map_of,
 )
 from energyplan.io.config import read_vehicle
-from energyplan.io.documents import MAX_BYTES, load, read_bytes
+from energyplan.io.documents import MAX_BYTES, load, read_bytes, unused, warn_of_unused
 from energyplan.logs import DriveLog
 from energyplan.logs.consistency import (
     Measures,
@@ -67,6 +67,15 @@ _ROBOTS = {"a200": "husky_a200", "j100": "jackal"}
 """Presets by the beginning of Clearpath's serial numbers."""
 _GEOMETRY = {"wheel_separation": "track", "wheel_radius": "wheel_radius"}
 """Parameters of ros2_control's diff_drive_controller."""
+_IDLE = frozenset({
+    "left_wheel_names", "right_wheel_names", "wheels_per_side",  # a log names its own
+    "odom_frame_id", "base_frame_id", "odom_frame", "base_frame", "tf_frame_prefix",
+    "tf_frame_prefix_enable", "enable_odom_tf", "publish_rate",  # how odometry is published
+    "pose_covariance_diagonal", "twist_covariance_diagonal", "publish_limited_velocity",
+    "open_loop", "position_feedback", "velocity_rolling_window_size",  # how it is computed
+    "cmd_vel_timeout", "use_stamped_vel", "type", "update_rate", "use_sim_time",  # of commands
+})  # fmt: skip
+"""Parameters beside these that change no measure of the robot."""
 
 
 def read_like(source: str) -> dict[str, Any]:
@@ -90,6 +99,9 @@ def read_like(source: str) -> dict[str, Any]:
     while parts:
         part = parts.pop()
         parts += [one for one in part.values() if isinstance(one, dict)]
+        if {*part} & {*_GEOMETRY}:
+            keys = [key for key in part if not str(key).endswith("_multiplier")]
+            warn_of_unused(file.name, unused(keys, _GEOMETRY, _IDLE))
         for key, name in _GEOMETRY.items():
             size = part.get(key)
             if isinstance(size, int | float) and size > 0:

@@ -22,7 +22,15 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from energyplan.errors import MapError
-from energyplan.io.documents import MAP, Checked, beside, load, read_bytes
+from energyplan.io.documents import (
+    MAP,
+    Checked,
+    beside,
+    load,
+    read_bytes,
+    unused,
+    warn_of_unused,
+)
 from energyplan.io.files import atomic_write, is_file, is_folder
 from energyplan.io.geojson import read_obstacles
 from energyplan.path import Pose, as_pose
@@ -119,6 +127,12 @@ class _SpeedMaskHeader(_MapHeader):
     multiplier: float = 1.0
 
 
+_IDLE = frozenset({
+    "name", "description", "author", "date", "frame_id", "header",  # say nothing of cells
+    "type", "base", "multiplier",  # of Nav2's filters, and read where a map is a mask of speeds
+})  # fmt: skip
+"""Keys of a map that change no answer."""
+
 Header = TypeVar("Header", bound=_MapHeader)
 
 
@@ -144,6 +158,7 @@ def _header(file: Path, kind: type[Header], *, costs: bool = False) -> Header:
             "is missing; write what Nav2's costmap_filter_info_server has: type 1 for percent of "
             "the top speed or 2 for m/s, base and multiplier",
         )
+    warn_of_unused(file.name, unused(document.data, keys, _IDLE))
     return document.check(kind)
 
 

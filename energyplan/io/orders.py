@@ -6,19 +6,27 @@ listed beside each kind with the reason; what is in neither list is named too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from math import atan2, isfinite
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from energyplan.errors import MissionError
 from energyplan.io.bags import heading
-from energyplan.io.documents import load
-from energyplan.io.geojson import read_lines
+from energyplan.io.documents import load, unused
+from energyplan.io.geojson import DRAWN, read_lines
 from energyplan.mission import Task
+from energyplan.path import parse_pose
 
 
 class TaskOrder(NamedTuple):
@@ -37,7 +45,7 @@ class _Keyed(BaseModel):
 
     def unread(self) -> list[str]:
         """Return the keys that are not used, here and in the parts of this one."""
-        found = [key for key in self.model_extra or {} if key not in self.idle]
+        found = unused(self.model_extra or (), (), self.idle)
         for name in type(self).model_fields:
             value = getattr(self, name)
             for one in value if isinstance(value, list) else [value]:
@@ -73,7 +81,7 @@ class _PoseOfROS(_Keyed):
     # the frame is the map's
     idle = frozenset({"header"})
     position: _Position
-    orientation: _Orientation
+    orientation: _Orientation | None = None
 
 
 class _Parameter(_Keyed):
@@ -129,16 +137,33 @@ class _Edge(_Keyed):
 
 
 class _Waypoint(_Keyed):
-    """A waypoint of Nav2."""
+    """A waypoint of Nav2, or a pose of a path or an array of ROS."""
 
     idle = frozenset({"header"})
     name: str = ""
     pose: _PoseOfROS
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_any(cls, given: Any) -> Any:
+        """Take a pose without a name, or a list of its numbers, for a waypoint."""
+        if isinstance(given, Mapping) and "position" in given:
+            named = {key: given[key] for key in ("name",) if key in given}
+            return {**named, "pose": {k: v for k, v in given.items() if k not in named}}
+        if isinstance(given, list) and 2 <= len(given) <= 3:
+            pose = parse_pose([*given, 0.0][:3])
+            turn = {"theta": pose.yaw} if len(given) > 2 else {}
+            return {"pose": {"position": {"x": pose.x, "y": pose.y, **turn}}}
+        if not isinstance(given, Mapping):
+            raise ValueError(
+                "give a pose as {position: {x: X, y: Y}, orientation: {z: Z, w: W}}, or [X, Y, YAW]"
+            )
+        return given
+
     @property
     def place(self) -> _Position:
-        at = self.pose.position
-        return _Position(x=at.x, y=at.y, theta=heading(self.pose.orientation))
+        at, turn = self.pose.position, self.pose.orientation
+        return at if turn is None else _Position(x=at.x, y=at.y, theta=heading(turn))
 
 
 class _Visits(_Keyed):
@@ -147,12 +172,12 @@ class _Visits(_Keyed):
     # who sent it, when and to whom
     idle = frozenset(
         {"headerId", "timestamp", "version", "manufacturer", "serialNumber",
-         "orderUpdateId", "zoneSetId", "orderDescription", "orderDescriptor"}
+         "orderUpdateId", "zoneSetId", "orderDescription", "orderDescriptor", "header"}
     )  # fmt: skip
     orderId: str = ""  # noqa: N815  as VDA 5050 spells it
     nodes: list[_Node] = []
     edges: list[_Edge] = []
-    waypoints: list[_Waypoint] = []
+    waypoints: list[_Waypoint] = Field([], validation_alias=AliasChoices("waypoints", "poses"))
 
     @field_validator("waypoints", mode="before")
     @classmethod
@@ -179,7 +204,7 @@ class _Visits(_Keyed):
         return found
 
 
-def _listed(names: Iterable[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     """Return names, each once."""
     return ", ".join(dict.fromkeys(names))
 
@@ -211,7 +236,7 @@ def read_order(file: Path) -> TaskOrder:
     document = load(file, MissionError)
     if "features" in document.data:
         raise document.fail((), "this seems to be GeoJSON; name the file .geojson")
-    if not {"nodes", "waypoints"} & {*document.data}:
+    if not {"nodes", "waypoints", "poses"} & {*document.data}:
         seems = f"this seems to be {document.kind}; " if document.kind else ""
         raise document.fail(
             (), f"{seems}give an order of VDA 5050, waypoints of Nav2 or lines of GeoJSON as tasks"
@@ -249,7 +274,7 @@ def _rows(file: Path) -> TaskOrder:
     unread: list[str] = []
     for k, line in enumerate(read_lines(file), 1):
         given = {key: value for key, value in line.properties.items() if value is not None}
-        unread += [key for key in given if key not in _OF_TASKS]
+        unread += unused(given, _OF_TASKS, DRAWN)
         task = {key: value for key, value in given.items() if key in _OF_TASKS}
         name = str(task.pop("name", "") or f"row {k}")
         twice = any(one["name"] == name for one in tasks)

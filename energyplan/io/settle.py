@@ -35,6 +35,7 @@ from energyplan.logs.guess import (
     of_one_wheel,
     plainer,
     rank,
+    reasons,
     same_reading,
     siblings,
     side_of,
@@ -42,6 +43,7 @@ from energyplan.logs.guess import (
 )
 from energyplan.logs.mapping import (
     COUNTS,
+    UNITS,
     Column,
     known_unit,
     scale_of,
@@ -124,7 +126,8 @@ def _ask_for_rivals(recording: Recording, draft: Draft) -> None:
             f"{recording.source}: {' and '.join(several[:4])} are several voltages beside one "
             f"current (in the middle {usual}), and nothing tells which it flows at: where they are "
             f"in series say so, as in --columns 'voltage={'+'.join(several)}', else name the one "
-            f"that counts, as in --columns 'voltage={volts.field}'"
+            f"that counts, as in --columns 'voltage={volts.field}'; "
+            + _why(draft, "voltage", several[:4])
         )
 
 
@@ -180,8 +183,8 @@ def _ask_for_the_whole(
     sided = factor or (f"*{volts.field}" if kind == "current" and volts is not None else "")
     given = "power" if factor else one.channel
     every = [one.field, *one.plus, *names]
-    summed = f"({'+'.join(every)}){factor}" if factor else "+".join(every)
-    which = " or ".join(f"{given}={name}{factor}" for name in names)
+    summed = f"({'+'.join(every)}){factor}" if factor else _sum_of(every, kind)
+    which = " or ".join(f"--columns '{given}={name}{factor}'" for name in names)
     if source := [name for name in names if feeds(name)]:
         loads = [name for name in every if name not in source and not rank(name)]
         added = "+".join(name for name in every if name not in loads)
@@ -195,12 +198,27 @@ def _ask_for_the_whole(
             "where they are those of two sides say so, as in --columns "
             f"'p_left={one.field}{sided},p_right={names[0]}{sided}', where they add up, as those "
             f"of two batteries do, as in --columns '{given}={summed}', else name the whole, as in "
-            f"{which} or in --columns '{given}={one.written}'"
+            f"--columns '{given}={one.written}' or {which}"
         )
     raise DriveLogError(
         f"{recording.source}: {' and '.join((one.field, *names))} could each be the {kind} of the "
-        f"whole robot, and differ; {how}"
+        f"whole robot, and differ; {how}; {_why(draft, kind, (one.field, *names))}"
     )
+
+
+def _sum_of(names: Sequence[str], kind: str) -> str:
+    """Write a sum of powers or currents, each with its factor where their units differ."""
+    sizes = [scale_of(kind, unit_in(kind, name).unit).factor for name in names]
+    if len({*sizes}) == 1:
+        return "+".join(names)
+    unit = next(iter(UNITS[kind]))
+    terms = (f"{size:g}*{name}" for size, name in zip(sizes, names, strict=True))
+    return f"{'+'.join(terms)}[{unit}]"
+
+
+def _why(draft: Draft, channel: str, names: Iterable[str]) -> str:
+    """Say why names may serve as a channel."""
+    return f"why as {channel}: {reasons(channel, names, draft.named)}"
 
 
 def _ask_for_wheels(recording: Recording, draft: Draft) -> None:
@@ -415,10 +433,11 @@ _JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, tha
 
 def _ask_unit(recording: Recording, column: Column, why: str, units: Iterable[str]) -> NoReturn:
     """Refuse to guess a unit, and say how to give it."""
-    ways = " or ".join(f"{column.channel}={column.field}[{unit}]" for unit in units)
+    ways = " or ".join(f"--columns '{column.channel}={column.field}[{unit}]'" for unit in units)
     raise DriveLogError(
         f"{recording.source}: {column.field} {why}; give its unit with --columns, and those of "
-        f"others that may have the same fault{f', as in {ways}' if ways else ''}"
+        f"others that may have the same fault{f', as in {ways}' if ways else ''}; why as "
+        f"{column.channel}: {reasons(column.channel, [column.field], recording.columns)}"
     )
 
 
@@ -492,7 +511,9 @@ def _sure_of_speeds(
         other = ", or in another unit" if unseen else ""
         raise DriveLogError(
             f"{recording.source}: {left} could be in {' or '.join(told)}, of which nothing tells "
-            f"the one from the other{other}; give its unit, as in --columns {ways}"
+            f"the one from the other{other}; give its unit, as in --columns {ways}; why as v_left "
+            f"and v_right: {reasons('v_left', [left], recording.columns)}, "
+            f"{reasons('v_right', [right], recording.columns)}"
         )
 
 
@@ -623,6 +644,7 @@ def _ask_for_given(recording: Recording, draft: Draft, known: Given) -> None:
         if (
             stated
             and named
+            and not one.weights  # which may be factors of units
             and abs(np.log(_size_of(channel, named) / _size_of(channel, stated))) > 0.01
         ):
             size = one.conversion.factor / _size_of(channel, stated)

@@ -17,9 +17,9 @@ import shapely
 from energyplan.errors import InvalidInputError, MapError, PathError, needs_extra
 from energyplan.io.files import atomic_write
 from energyplan.logs import DriveLog
-from energyplan.logs.guess import guess
-from energyplan.logs.mapping import Column
-from energyplan.logs.tables import Recording, quaternions, read_table
+from energyplan.logs.guess import guess, guess_ahead, guess_turns
+from energyplan.logs.mapping import Column, time_units, unit_in
+from energyplan.logs.tables import Recording, find_stamp, quaternions, read_table
 from energyplan.path import FloatArray, Path, Trajectory, wrap_angle
 
 if TYPE_CHECKING:
@@ -154,24 +154,44 @@ def read_trajectory(file: str | File) -> Trajectory:
 
 def read_drive(file: str | File, longitudinal: float = 0.0) -> Trajectory | Path:
     r"""Read a trajectory, or a path where the table has no times."""
-    table = read_table(file, PathError)
+    table = _with_poses(read_table(file, PathError))
     if {"t", "v", "omega"} & (set(table.columns) | set(table.text)):
         return read_trajectory(file)
     return read_path(file, longitudinal)
 
 
 def _with_poses(table: Recording) -> Recording:
-    """Return a table with x, y and yaw, found as those of a log; a heading says its unit."""
+    """Return a table with the columns of a path or trajectory, found as those of a log."""
     names = [name for name in table.columns if name]
-    found = guess(names)
-    if (yaw := found.get("yaw")) and not (yaw.unit or yaw.field == "theta"):
+    found = {name: one for name, one in guess(names).items() if name in _PATH}
+    if (yaw := found.get("yaw")) and not (yaw.unit or yaw.field in _RADIANS):
         del found["yaw"]  # a compass counts in degrees, and clockwise
     turns = quaternions(names)
     if len(turns) == 1:
         found.setdefault("yaw", Column(field=next(iter(turns)), channel="yaw"))
-    lacking = [name for name in _PATH if name in found and name not in table.columns]
+    found |= _of_motion(table, names)
+    lacking = [name for name in _TRAJECTORY if name in found and name not in table.columns]
     poses = {name: found[name].value(table.column) for name in lacking}
     return replace(table, columns={**table.columns, **poses})
+
+
+_RADIANS = ("theta", "Theta", "yaw", "Yaw")  # names of headings that count from the x axis
+
+
+def _of_motion(table: Recording, names: Sequence[str]) -> dict[str, Column]:
+    """Return which columns are the time, the speed and the turn rate of a trajectory."""
+    found: dict[str, Column] = {}
+    clock = find_stamp(table.columns) or guess(names).get("t")
+    if clock is not None:
+        times = clock.value(table.column)
+        found["t"] = clock if clock.unit else clock.changed(unit=time_units(times)[0] or "s")
+    for channel, known in (("v", guess_ahead(names)), ("omega", guess_turns(names))):
+        quantity = "v_left" if channel == "v" else "yaw_rate"
+        known = [name for name in names if unit_in(quantity, name).bare == channel] or known
+        if len(known) == 1:
+            unit = unit_in(quantity, known[0]).unit
+            found[channel] = Column(field=known[0], unit=unit, channel=quantity)
+    return found if {"t", "v", "omega"} <= {*found, *names} else {}
 
 
 def _check_kind(table: Recording, needed: Sequence[str]) -> None:
@@ -195,6 +215,11 @@ def _check_kind(table: Recording, needed: Sequence[str]) -> None:
     timed = f"; leave {more} out to have the poses timed" if set(_PATH) <= set(names) else ""
     if timed and not more:
         timed = "; energyplan check and plan --former read a path, plan --trajectory times one"
+    if "yaw" in missing and (heading := guess(table.columns).get("yaw")) is not None:
+        timed += (
+            f"; {heading.field!r} says neither its unit nor where it counts from: name it yaw "
+            "[rad] or yaw_deg, counted to the left from the x axis"
+        )
     raise PathError(f"{what}; the columns are {', '.join(names[:20])}{timed}")
 
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 from energyplan.logs.mapping import Column, counting, split_unit, split_words, unit_in
+from energyplan.units import SPEED
 
 _WORDS = {
     "left": {"left", "l", "lh", "lhs", "lft", "port", "fl", "rl", "bl", "ml", "lf", "lr", "lb",
@@ -22,12 +23,27 @@ _WORDS = {
     "current": {"i", "cur", "curr", "current", "amp", "amps", "ampere", "amperes", "currents",
                 "ibat", "ibatt", "ibus"},
     "time": {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "clock", "elapsed",
-             "epoch", "utc", "ts", "datetime", "today", "tstamp", "millis", "micros", "nanos"},
+             "epoch", "utc", "ts", "datetime", "today", "tstamp", "millis", "micros", "nanos",
+             "tow", "itow", "uptime"},
     "yaw": {"yaw", "heading", "theta", "psi", "hdg", "course", "azimuth", "compass"},
     "turn": {"gyro", "angular", "yawrate", "wz", "gz", "gyr", "omega"},
     "accel": {"acc", "accel", "acceleration", "ax"},
     "temperature": {"temp", "temperature"},
 }  # fmt: skip
+_OTHER_LANGUAGES = {
+    "left": "links linke linkes linker gauche izquierda izquierdo esquerda sinistra sinistro",
+    "right": "rechts rechte rechtes rechter droite droit derecha derecho direita destra destro",
+    "speed": "geschwindigkeit drehzahl vitesse velocidad velocidade velocita",
+    "power": "leistung puissance potencia potenza",
+    "voltage": "spannung tension voltaje voltagem tensione tensao",
+    "current": "strom courant corriente corrente",
+    "time": "zeit uhrzeit zeitstempel temps tiempo tempo heure hora fecha",
+    "yaw": "gierwinkel lacet guinada rumbo imbardata",
+    "turn": "gierrate drehrate",
+}
+"""The same in German, French, Spanish, Portuguese and Italian, without accents."""
+for _kind, _others in _OTHER_LANGUAGES.items():
+    _WORDS[_kind] |= set(_others.split())
 _NOT_MEASURED = {
     "cmd", "command", "commanded", "set", "setpoint", "target", "desired", "ref", "reference",
     "goal", "request", "requested", "cov", "covariance", "std", "error", "err", "torque", "effort",
@@ -56,7 +72,8 @@ _MEASURED = {
     "meas", "measured", "actual", "act", "feedback", "fb", "real", "side", "sensor", "state",
 }  # fmt: skip
 """Words that say that a reading is one, and not of what."""
-_BATTERY = {"battery", "bat", "batt", "bus", "bms", "pack"}
+_BATTERY = {"battery", "bat", "batt", "bus", "bms", "pack", "batterie", "akku", "bateria",
+            "batteria"}  # fmt: skip
 _KNOWN = frozenset[str]().union(*_WORDS.values(), _NOT_MEASURED, ENCODER, _MEASURED, _BATTERY)
 """Words whose plural means the same."""
 _SHORTEST = 3  # letters up to which a word is no plural
@@ -92,6 +109,12 @@ def spelled(name: str, names: Collection[str]) -> str:
     return _TAG.sub(side, name)
 
 
+_QUANTITY = "speed|velocity|vel|rpm|wheel|motor|power|current|voltage"
+_SIDE = "left|right|port|starboard"
+_JOINED = re.compile(rf"({_QUANTITY})({_SIDE})|({_SIDE})({_QUANTITY})")
+"""A quantity and a side without a sign between them."""
+
+
 def words(name: str) -> list[str]:
     """Split a name into its words, in small letters; ``r1`` alone may be anything, and is none."""
     found: list[str] = []
@@ -101,6 +124,9 @@ def words(name: str) -> list[str]:
             found.append(word)
             continue
         short = re.fullmatch(r"(v|w|p|i|u|rpm|vel|cur|omega|n)(l|r)", word)
+        if joined := _JOINED.fullmatch(word):
+            found += [part for part in joined.groups() if part]
+            continue
         plural = len(word) > _SHORTEST and word not in _KNOWN and word.removesuffix("s") in _KNOWN
         found += [short[1], short[2]] if short else [word.removesuffix("s") if plural else word]
     return found
@@ -163,6 +189,8 @@ def _score(channel: str, name: str) -> float:
     other = _NOT_MEASURED - {"position"} if channel in ("x", "y") else _NOT_MEASURED
     if counting(channel, unit_in(channel, name).unit):  # of charge or energy, which its unit says
         other = other - {"charge", "capacity", "count"}
+    if channel.startswith("v_") and unit_in(channel, name).unit in SPEED:  # of no count
+        other = other - {"encoder", "min"}
     wanted = bool(said & other) or stated[-1:] == ["status"]
     wanted = wanted or ("input" in said and not any(has[kind] for kind in _ELECTRIC))
     quantity, _, side = channel.partition("_")
@@ -194,13 +222,13 @@ def _score(channel: str, name: str) -> float:
             return 1.5
         place = said & {"pos", "pose", "position", "odom", "odometry", "slam", "gps", "map"}
         vector = has["turn"] or has["accel"] or bool(said & _NO_PLACE)
-        return (1.0 + bool(place)) * (stated[-1:] == [channel]) * (not vector)
+        return (1.0 + bool(place)) * (last == [channel]) * (not vector)
     if channel == "yaw":
         return 2.0 * has["yaw"] * (not (said & {"rate", "vel", "velocity", "speed", "dot"}))
     if channel == "yaw_rate":
         named = has["yaw"] and said & {"rate", "vel", "velocity", "speed", "dot"}
         z = "z" in said and has["turn"]
-        alone = said & {"yawrate", "wz", "gz"}
+        alone = said & {"yawrate", "wz", "gz", "gierrate", "drehrate"}
         named = named or ("turn" in said and said & {"rate", "speed", "velocity"})
         return 3.0 * bool(named) + 2.0 * bool(z) + 2.0 * bool(alone)
     if channel == "accel_x":
@@ -414,6 +442,16 @@ def candidates(
                 rated.append(Candidate(Column(field=name, unit=unit, channel=channel), score, why))
         found[channel] = tuple(sorted(rated, key=lambda one: -one.score))
     return found
+
+
+def reasons(channel: str, chosen: Iterable[str], names: Iterable[str]) -> str:
+    """Say why each of some names among all may serve as a channel, and how well it fits."""
+    rated = {one.column.field: one for one in candidates(names).get(channel, ())}
+    return ", ".join(
+        f"{name} {rated[name].reason} (score {rated[name].score:g})" if name in rated
+        else f"{name} by its side, number or readings"
+        for name in dict.fromkeys(chosen)
+    )  # fmt: skip
 
 
 def guess(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, Column]:

@@ -8,6 +8,7 @@ from functools import lru_cache
 from itertools import pairwise
 from math import isfinite, prod
 from typing import Any, NamedTuple
+from unicodedata import combining, normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,10 +133,13 @@ def split_unit(name: str) -> tuple[str, str]:
 
 _SCALED = re.compile(r"(.*[^\W\d])[\W_]+(10+|0\.0*1)([A-Za-z/]+)")
 """A name that ends with the size of its steps, such as ``current_10mA``."""
+_SIZED = re.compile(r"[x*]?\s*(\d*\.?\d+)\s*[x*]?\s*([^\W\d].*?)(?:/(?:bit|lsb|digit|count))?")
+"""The same in brackets, such as ``0.1 A`` or ``0.05 V/bit``."""
 _ANYWHERE = {
     "ms", "us", "ns", "kmh", "kph", "mps", "mph", "rpm", "dps", "radps", "rads", "deg", "degrees",
     "kw", "mv", "ma", "mm", "cm", "hp", "ips", "wh", "kwh", "mwh", "ah", "mah", "mdps", "cdeg",
-    "mrad", "kj",
+    "mrad", "kj", "coulomb", "coulombs", "joule", "joules", "amphours", "watthours", "milliamps",
+    "millivolts", "milliwatts",
 }  # fmt: skip
 """Words that are units wherever in a name they stand; others are only at its end."""
 
@@ -147,14 +151,15 @@ _CAPITALS = re.compile("[kmcdnuM\u00b5](?:[VAWJC]h?|As|Ws)|deg[CF]")
 def split_words(name: str) -> list[str]:
     """Split a name at signs, and where small letters turn to capitals."""
     found: list[str] = []
-    for part in re.split(r"[^A-Za-z0-9\u00b0\u00b5^]+", name):
+    plain = "".join(one for one in normalize("NFD", name) if not combining(one))
+    for part in re.split(r"[^A-Za-z0-9\u00b0\u00b5^]+", plain):
         if _CAPITALS.fullmatch(part):
             found.append(part)
             continue
         spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", part)
         found += re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", spaced).split()
-    plain = found[1:] and found[-1] == "data"  # as messages call it that hold one number alone
-    return found[:-1] if plain else found
+    alone = found[1:] and found[-1] == "data"  # as messages call it that hold one number alone
+    return found[:-1] if alone else found
 
 
 class NamedUnit(NamedTuple):
@@ -169,7 +174,11 @@ def unit_in(channel: str, name: str) -> NamedUnit:
     """Return the unit that a column's name gives, if the channel can be in it."""
     bare, stated = split_unit(name)
     if stated:
-        return NamedUnit(bare, known_unit(channel, stated) or "")
+        sized = _SIZED.fullmatch(stated)
+        known = known_unit(channel, sized[2] if sized else stated) or ""
+        if sized and known:
+            return NamedUnit(bare, "" if known in _OF_WHEELS else f"{known}*{sized[1]}")
+        return NamedUnit(bare, known)
     scaled = _SCALED.fullmatch(bare)
     spelt = known_unit(channel, scaled[3]) if scaled else None
     if scaled and spelt is not None and spelt not in _OF_WHEELS:
@@ -178,6 +187,8 @@ def unit_in(channel: str, name: str) -> NamedUnit:
     for count in (3, 2, 1):
         tail = [word for word in words[-count:] if word.lower() != "per"]
         if len(words) < count + (count == 1) or (count > 1 and len(tail) != 2):
+            continue
+        if [word.lower() for word in words[-2:-1]] == ["of"]:  # as in the time of day
             continue
         spelt = known_unit(channel, "/".join(tail))
         if spelt is not None:
@@ -568,7 +579,9 @@ def _unit_of(channel: str, found: Formula) -> str:
         }  # fmt: skip
         units = {"" if one == 1.0 else f"*{one:.10g}" for one in sizes}
     else:
+        plain = next(iter(UNITS.get(channel, {"": 1.0})))
         units = {unit_in(channel, name).unit for name in names}
+        units = {""} if units <= {"", plain} else units
     if len(units) == 1:
         return units.pop()
     raise DriveLogError(
@@ -627,4 +640,6 @@ def map_channels(
             found[channel] = column_from(channel, name, stated[channel].unit)
         elif name not in {*wanted, *found, *text}:
             found[name] = Column(field=name, channel=name)
+    if {"voltage", "current"} <= {*wanted}:  # what is named by hand is the power
+        found.pop("power", None)
     return {**wanted, **found}

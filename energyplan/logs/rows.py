@@ -85,10 +85,11 @@ def turned(
         return None
     of_parts = {*words(label)} & _OF_PARTS or any(side_of(value, values) for value in values)
     if len(readings) > 1 and not of_parts:
+        one = np.asarray(frame[label])[:1].tolist()[0]  # as Python writes it
         raise error(
             f"{source}: rows of several {label!r} ({', '.join(values[:4])}) stand in one table, at "
             f"the same times: keep those of one, as by pandas: table[table[{label!r}] == "
-            f"{frame[label].iloc[0]!r}].to_csv('one.csv', index=False)"
+            f"{one!r}].to_csv('one.csv', index=False)"
         )
     if len(readings) == 1:
         frame = _with_units(frame, names, label, [time, *readings])
@@ -128,14 +129,31 @@ def _times(frame: pd.DataFrame, name: str) -> FloatArray:
     read = numeric(frame[name])
     if read.isna().all():
         stamps = pd.to_datetime(frame[name], errors="coerce", utc=True, format="ISO8601")
-        return stamps.dt.tz_localize(None).to_numpy("datetime64[ns]").astype(float)
+        found = stamps.dt.tz_localize(None).to_numpy("datetime64[ns]")
+        return np.where(np.isnat(found), np.nan, found.astype(float))
     return read.to_numpy(float)
+
+
+def _clocks(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Return the column of the times: by its name, else the first that holds nothing but stamps."""
+    named = [name for name in names if "t" in guess([name])][:1]
+    if named:
+        return named
+    head = frame.iloc[:_STAMPED]
+    stamped = (
+        name for name in names
+        if numeric(head[name]).isna().all() and np.isfinite(_times(head, name)).all()
+    )  # fmt: skip
+    return [*stamped][:1]
+
+
+_STAMPED = 20  # rows that show whether a column holds stamps
 
 
 def _things(frame: pd.DataFrame, names: Sequence[str]) -> _Things | None:
     """Find what distinguishes rows of one time: each of its values stands in rows all along."""
     kinds = frame.nunique()
-    times = [name for name in names if kinds[name] > 1 and "t" in guess([name])][:1]
+    times = _clocks(frame, [name for name in names if kinds[name] > 1])
     if not times or len(frame) < 2 * _FEWEST:
         return None
     t = _times(frame, times[0])
@@ -209,7 +227,7 @@ def _of_readings(frame: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame | No
     """Return a column for each name of a table of one reading a row; None of any other table."""
     kinds = frame.nunique()
     varied = [name for name in names if kinds[name] > 1]
-    times = [name for name in varied if "t" in guess([name])][:1]
+    times = _clocks(frame, varied)
     said = [
         name for name in varied if name not in times and kinds[name] < len(frame) / 4
         and numeric(frame[name]).isna().all() and frame[name].notna().all()

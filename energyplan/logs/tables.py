@@ -97,7 +97,10 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
     lines = [text[a:b].rstrip("\r\n") for a, b in zip(starts, stops, strict=True)]
     for row, line in enumerate(lines[:2], 1):
         if "\0" in line:
-            raise error(f"{file}, line {row} holds a NUL byte; save it as text in UTF-8")
+            raise error(
+                f"{file}, line {row} holds a NUL byte; save it as text in UTF-8, or "
+                "export it as CSV by what wrote it"
+            )
     _refuse_pairs(lines, file, error)
     separator, place = _layout(lines)
     first_row = cut(lines[place], separator)
@@ -514,7 +517,7 @@ class Columns:
                 values = _of_day(series)
                 self._of_day.add(label)
             elif len(bad) and _ISO.match(str(series.iloc[bad[0]])):
-                values = _since_1970(series)
+                values = _since_1970(series.str.replace(",", ".", regex=False))
             bad = np.flatnonzero(np.isnan(values) & series.notna().to_numpy())
             if len(bad):
                 k = int(bad[0])
@@ -539,8 +542,10 @@ class Columns:
             if name not in self._text
         }
         numbers = {n: np.where(np.abs(v) < ANY[1], v, np.nan) for n, v in numbers.items()}
-        for name in self._of_day & set(numbers):
-            numbers[name] = _over_midnight(numbers[name])
+        numbers = {
+            name: _over_midnight(values) if name in self._of_day else _unwrapped(values)
+            for name, values in numbers.items()
+        }
         # Where lines end with a separator, a column without a name holds nothing.
         numbers = {
             name: values
@@ -562,8 +567,14 @@ def _with_thousands(cells: pd.Series[Any]) -> NDArray[np.bool_]:
 _ISO = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
 _BEYOND = re.compile(r"[+-]?\d+(\.\d*)?[eE]\+?\d{3,}")
 """A number beyond the largest of floating point, where it cannot be converted."""
-_OF_DAY = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d*)?( ?[AP]M)?")
+_OF_DAY = re.compile(r"\d{1,2}:\d\d:\d\d([.,]\d*|:\d{3})?( ?[AP]M)?|\d{1,3}:\d\d[.,]\d+")
+"""A time of day, or minutes and seconds since the start."""
 _DAY = 86400.0
+_PERIODS = (
+    *(size * unit for size in (_DAY, 7 * _DAY) for unit in (1.0, 1e3, 1e6, 1e9)),
+    *(2.0**bits * unit for bits in (16, 32) for unit in (1.0, 1e-3, 1e-6)),
+)
+"""After what clocks start again at zero: a day, a week of satellites, 16 and 32 bits."""
 
 
 def _since_1970(series: pd.Series[Any], form: str = "ISO8601") -> FloatArray:
@@ -577,8 +588,15 @@ def _since_1970(series: pd.Series[Any], form: str = "ISO8601") -> FloatArray:
 
 def _of_day(series: pd.Series[Any]) -> FloatArray:
     """Return the seconds since midnight of times of day; NaN where one cannot be read."""
-    sound = "1970-01-01 " + series.where(series.str.fullmatch(_OF_DAY.pattern))
-    return _since_1970(sound, "mixed")
+    sound = series.where(series.str.fullmatch(_OF_DAY.pattern))
+    sound = sound.str.replace(",", ".", regex=False)
+    sound = sound.str.replace(r":(\d{3})\b", r".\1", regex=True)
+    parts = sound.str.extract(r"^(\d{1,3}):(\d\d\.\d+)$")
+    minutes = 60.0 * numeric(parts[0]).to_numpy(float, na_value=np.nan)
+    minutes += numeric(parts[1]).to_numpy(float, na_value=np.nan)
+    if np.isfinite(minutes).any():
+        return minutes
+    return _since_1970("1970-01-01 " + sound, "mixed")
 
 
 def _over_midnight(seconds: FloatArray) -> FloatArray:
@@ -588,6 +606,34 @@ def _over_midnight(seconds: FloatArray) -> FloatArray:
     counted = seconds.copy()
     counted[known] += _DAY * days
     return counted
+
+
+def _unwrapped(values: FloatArray) -> FloatArray:
+    """Return a clock that counts on where it started again at zero; else the same values.
+
+    It must increase but for that, and go on there after one of `_PERIODS` as from row to row.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    steps = np.diff(values[known])
+    back = steps < 0
+    count = np.count_nonzero(back)
+    clock = 0 < count <= len(steps) // _FEWEST and np.mean(steps > 0) > _STEADY
+    if not clock or values[known].min() < 0.0:
+        return values
+    forward = steps[steps > 0]
+    step = float(np.median(forward)) if len(forward) else 0.0
+    for period in _PERIODS:
+        over = steps[back] + period
+        # The last row before may be followed by a row that came late.
+        if values[known].max() <= period and np.all((over > 0) & (over <= _LATE_ROWS * step)):
+            found = values.copy()
+            found[known] += period * np.cumsum(np.append(False, back))
+            return found
+    return values
+
+
+_STEADY = 0.9  # share of steps in which a clock must increase
+_LATE_ROWS = 3.0  # steps from row to row within which a clock that started again goes on
 
 
 MAX_LINE = 1 << 20
@@ -604,42 +650,82 @@ _SUFFIXES = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log", ".gz"), ".csv"),
     **dict.fromkeys((".parquet", ".pq"), ".parquet"),
 }
+_JSON = "JSON; pandas.json_normalize(ROWS).to_csv(FILE) makes a table of it"
+_MATLAB = (
+    "of MATLAB; writetable(struct2table(LOG), 'log.csv') there makes a table of a structure of "
+    "columns, and timetable2table of a timetable"
+)
+_NUMPY = (
+    "of NumPy; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of it, with a name for each "
+    "column"
+)
+_HDF5 = (
+    "of HDF5; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of its data sets, with a name "
+    "for each"
+)
+_OF_BUS = "a recording of a bus; export its decoded signals as CSV, as asammdf does"
+_WORKBOOK = "a workbook; save the sheet that holds the log as CSV and give that"
+_FLIGHT = (
+    "a flight controller's: energyplan start reads it alone; to join it, export it as CSV, as "
+    "ulog2csv and mavlogdump.py --format csv do"
+)
+_PICKLE = "of Python's pickle; pandas.read_pickle(FILE).to_csv('log.csv') makes a table of it"
+_ARROW = "of Arrow; pandas.read_feather(FILE).to_csv('log.csv') makes a table of it"
+_TDMS = "of LabVIEW; nptdms.TdmsFile(FILE).as_dataframe().to_csv('log.csv') makes a table of it"
 _OTHERS = {
-    **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods"),
-                    "a workbook; save the sheet that holds the log as CSV and give that"),
-    **dict.fromkeys((".json", ".jsonl", ".ndjson"),
-                    "JSON; pandas.json_normalize(ROWS).to_csv(FILE) makes a table of it"),
-    ".mat": "of MATLAB; writetable(struct2table(LOG), 'log.csv') there makes a table of a "
-    "structure of columns, and timetable2table of a timetable",
-    **dict.fromkeys((".npz", ".npy"), "of NumPy; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a "
-                    "table of it, with a name for each column"),
-    **dict.fromkeys((".h5", ".hdf5", ".hdf"), "of HDF5; pandas.DataFrame(COLUMNS).to_csv(FILE) "
-                    "makes a table of its data sets, with a name for each"),
-    **dict.fromkeys((".blf", ".asc", ".mf4", ".mdf"), "a recording of a bus; export its decoded "
-                    "signals as CSV, as asammdf does"),
-    **dict.fromkeys((".ulg", ".tlog", ".bin"), "a flight controller's: energyplan start "
-                    "reads it alone; to join it, export it as CSV, as ulog2csv and mavlogdump.py "
-                    "--format csv do"),
+    **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods"), _WORKBOOK),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _JSON),
+    **dict.fromkeys((".npz", ".npy"), _NUMPY),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), _HDF5),
+    **dict.fromkeys((".blf", ".asc", ".mf4", ".mdf"), _OF_BUS),
+    **dict.fromkeys((".ulg", ".tlog", ".bin"), _FLIGHT),
+    **dict.fromkeys((".pkl", ".pickle"), _PICKLE),
+    **dict.fromkeys((".arrow", ".ipc"), _ARROW), ".mat": _MATLAB, ".tdms": _TDMS,
 }  # fmt: skip
 """What files are that are not read, and what makes a table of them, by suffix."""
 _BEGINNINGS = {
-    b"ARROW1": "a Feather file; pandas.read_feather(FILE).to_csv('log.csv') makes a table of it",
-    b"SQLite format 3": "an SQLite database; sqlite3 -header -csv FILE 'select * from TABLE' > "
+    rb"ARROW1": "a Feather file; pandas.read_feather(FILE).to_csv('log.csv') makes a table of it",
+    rb"\xff\xff\xff\xff.{3}\0": _ARROW,
+    rb"SQLite format 3": "an SQLite database; sqlite3 -header -csv FILE 'select * from TABLE' > "
     "log.csv makes a table of it; a ROS 2 bag's is named .db3",
-    b"\x28\xb5\x2f\xfd": "compressed by zstd; unzstd FILE unpacks it; of a ROS 2 bag give the "
+    rb"\x28\xb5\x2f\xfd": "compressed by zstd; unzstd FILE unpacks it; of a ROS 2 bag give the "
     "folder with its metadata.yaml",
-    b"BZh": "compressed; bunzip2 FILE unpacks it",
-    b"\xfd7zXZ": "compressed; unxz FILE unpacks it",
-    b"\x1f\x8b": "compressed; name it with the ending .csv.gz",
-    b"PK\x03\x04": "a zip archive, as workbooks are; save the sheet that holds the log as CSV, or "
+    rb"BZh": "compressed; bunzip2 FILE unpacks it",
+    rb"\xfd7zXZ": "compressed; unxz FILE unpacks it",
+    rb"\x1f\x8b": "compressed; gunzip FILE unpacks it; a table is read as it is by the "
+    "ending .csv.gz",
+    rb"\x04\x22\x4d\x18": "compressed; unlz4 FILE unpacks it",
+    rb"7z\xbc\xaf": "an archive; 7z x FILE unpacks it",
+    rb"Rar!": "an archive; unrar x FILE unpacks it",
+    rb"PK\x03\x04": "a zip archive, as workbooks are; save the sheet that holds the log as CSV, or "
     "unzip it",
-    b"\x89HDF": "of HDF5; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of its data sets",
-    b"\x93NUMPY": "of NumPy; pandas.DataFrame(COLUMNS).to_csv(FILE) makes a table of it",
-    b"PAR1": "a Parquet file; name it with the ending .parquet",
-    b"#ROSBAG": "a ROS 1 bag; name it with the ending .bag",
-    b"\x89MCAP": "an MCAP file; name it with the ending .mcap",
-}
-"""The same by the first bytes, whatever the ending."""
+    rb"\xd0\xcf\x11\xe0": _WORKBOOK,
+    rb"\x89HDF": _HDF5,
+    rb"\x93NUMPY": _NUMPY,
+    rb"MATLAB [57]": _MATLAB,
+    rb"PAR1": "a Parquet file; name it with the ending .parquet",
+    rb"#ROSBAG": "a ROS 1 bag; name it with the ending .bag",
+    rb"\x89MCAP": "an MCAP file; name it with the ending .mcap",
+    rb"ULog\x01\x12\x35": "a log of PX4; name it with the ending .ulg",
+    rb"\xa3\x95\x80": "a log of ArduPilot; name it with the ending .bin",
+    rb".{8}[\xfd\xfe].{2,8}\0": "telemetry by MAVLink, it seems; name it with the ending .tlog",
+    rb"\x80[\x02-\x05]": _PICKLE,
+    rb"TDSm": _TDMS,
+    rb"(MDF |UnFinMF |LOGG|date \w{3} \w{3}|\(\d+\.\d+\) \w+ [0-9A-Fa-f]+#)": _OF_BUS,
+    rb"\s*[\[{]\s*[\[{\"]": _JSON,
+    rb"(?i:\s*<(!doctype|html|\?xml|[a-z]+[ >]))": "a page or XML; save its table as "
+    "CSV and give that",
+    rb"%PDF": "a document; export what it shows as CSV",
+}  # fmt: skip
+"""The same by the first bytes, whatever the ending, as regular expressions."""
+_AT_FIRST = 64  # bytes that show what a file is
+
+
+def other_kind(file: Path) -> str:
+    """Return what a file is by its first bytes, and what makes a table of it; empty for text."""
+    with file.open("rb") as stream:
+        head = stream.read(_AT_FIRST)
+    return next((text for mark, text in _BEGINNINGS.items() if re.match(mark, head, re.S)), "")
 
 
 def read_table(
@@ -683,8 +769,36 @@ _WHOLE_SECONDS = re.compile(r"(.*?)(tv_)?(secs?|seconds|s)", re.IGNORECASE)
 _PART = r"(tv_)?(?:({0})(?:secs?|seconds|s)|(nano|micro|milli)(?:secs?|seconds|s))"
 
 
+_SEXAGESIMAL = (("hours?|hrs?|hh?|stunden?", 24.0), ("minutes?|mins?|mm|minuten?", 60.0),
+                ("seconds?|secs?|ss?|sekunden?", 60.0))  # fmt: skip
+"""Names of hours, minutes and seconds that stand in columns of their own; how far they go."""
+
+
+def _find_sexagesimal(columns: Mapping[str, FloatArray]) -> Column | None:
+    """Return the time of hours, minutes and seconds, or of the last two, in columns of each."""
+    found: list[dict[str, str]] = []
+    for names, most in _SEXAGESIMAL:
+        known: dict[str, str] = {}
+        for name, values in columns.items():
+            match = re.fullmatch(rf"(.*?)({names})", name, re.IGNORECASE)
+            read = values[np.isfinite(values)]
+            whole = (most == 60.0 and len(found) == 2) or not np.any(np.mod(read, 1.0))
+            if match and len(read) and read.min() >= 0.0 and read.max() < most and whole:
+                known.setdefault(match[1].lower(), name)
+        found.append(known)
+    hours, minutes, seconds = found
+    for base in [base for base in minutes if base in seconds]:
+        parts = [*([hours[base]] if base in hours else []), minutes[base], seconds[base]]
+        if np.ptp(columns[parts[-1]][np.isfinite(columns[parts[-1]])]) > 0.0:
+            weights = (3600.0, 60.0, 1.0)[-len(parts) :]
+            return Column(
+                field=parts[0], unit="s", plus=tuple(parts[1:]), weights=weights, channel="t"
+            )
+    return None
+
+
 def find_stamp(columns: Mapping[str, FloatArray]) -> Column | None:
-    """Return the time of whole seconds and, in a second column, their parts."""
+    """Return the time of whole seconds and, in a second column, their parts; or of minutes."""
     for name, seconds in columns.items():
         match = _WHOLE_SECONDS.fullmatch(name)
         known = seconds[np.isfinite(seconds)]
@@ -701,7 +815,7 @@ def find_stamp(columns: Mapping[str, FloatArray]) -> Column | None:
                 return Column(
                     field=name, unit="s", plus=(other,), weights=(1.0, weight), channel="t"
                 )
-    return None
+    return _find_sexagesimal(columns)
 
 
 def find_clock(columns: Mapping[str, FloatArray]) -> Column | None:
@@ -833,12 +947,9 @@ def _suffix(file: Path, error: type[InvalidInputError]) -> str:
             f"{str(file)!r} is a folder; give a .csv, .parquet, .mcap or .db3 file in it, or "
             "several as one drive, as in odom.csv+battery.csv"
         )
-    if suffix != ".parquet" and file.suffix.lower() not in (".gz", *_OTHERS) and file.is_file():
-        with file.open("rb") as stream:
-            head = stream.read(max(map(len, _BEGINNINGS)))
-        found = next((text for mark, text in _BEGINNINGS.items() if head.startswith(mark)), None)
-        if found is not None:
-            raise error(f"{file} is {found}")
+    named = suffix == ".parquet" or file.suffix.lower() in (".gz", *_OTHERS)
+    if not named and file.is_file() and (found := other_kind(file)):
+        raise error(f"{file} is {found}")
     if suffix is None and file.suffix.lower() in _OTHERS:
         raise error(f"{file} is {_OTHERS[file.suffix.lower()]}")
     if suffix is None:
@@ -947,47 +1058,14 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     with needs_extra("logs", f"reading {file}, a table of more than numbers,"):
         import pandas as pd
 
-    # before 3.1 pandas is wrong in the last bit of one number of six by default
-    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
-    exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     parts: list[pd.DataFrame] | None = []  # of one reading a row
-    try:
-        with warnings.catch_warnings():
-            # Rows wider than the header would lose their surplus with no more than a warning.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            for frame in pd.read_csv(
-                io.BytesIO(data),
-                header=None,
-                names=range(len(names)),
-                sep=dialect.separator,
-                decimal=dialect.decimal,
-                encoding=dialect.encoding,
-                encoding_errors="replace",  # in text; a number has no such letters
-                na_values=list(_MISSING),
-                index_col=False,
-                skip_blank_lines=False,  # so that rows keep their line numbers
-                skipinitialspace=True,
-                low_memory=False,
-                chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
-                **exact,
-            ):
-                frame.columns = names
-                if columns.rows == 0 and not parts and turned(frame, names, file, error) is None:
-                    parts = None
-                if parts is not None:
-                    parts.append(frame)
-                    continue
-                columns.add(frame)
-    except pd.errors.EmptyDataError:
-        pass
-    except pd.errors.ParserWarning:
-        raise error(
-            f"{file}: rows have more cells than the {len(names)} names of line "
-            f"{max(dialect.line - 1, 1)}; name every column, and write decimals with a point "
-            "where commas separate cells"
-        ) from None
-    except pd.errors.ParserError as problem:
-        raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
+    for frame in _frames(data, dialect, file, error):
+        if columns.rows == 0 and not parts and turned(frame, names, file, error) is None:
+            parts = None
+        if parts is not None:
+            parts.append(frame)
+            continue
+        columns.add(frame)
     wide = turned(pd.concat(parts), names, file, error) if parts else None
     if wide is not None:
         columns = Columns(list(map(str, wide)), 1, "instant")
@@ -1007,6 +1085,53 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     for values in table.columns.values():
         values[short] = np.nan  # which of the cells are missing is not known
     return table
+
+
+def _frames(
+    data: bytes, dialect: Dialect, file: Path, error: type[InvalidInputError]
+) -> Iterator[pd.DataFrame]:
+    """Yield the rows of a table, some at a time, under its names."""
+    import pandas as pd
+
+    # before 3.1 pandas is wrong in the last bit of one number of six by default
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+    exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+    try:
+        reader = pd.read_csv(
+            io.BytesIO(data),
+            header=None,
+            names=range(len(dialect.names)),
+            sep=dialect.separator,
+            decimal=dialect.decimal,
+            encoding=dialect.encoding,
+            encoding_errors="replace",  # in text; a number has no such letters
+            na_values=list(_MISSING),
+            index_col=False,
+            skip_blank_lines=False,  # so that rows keep their line numbers
+            skipinitialspace=True,
+            low_memory=False,
+            chunksize=_CHUNK,  # the parser's memory is several times that of the numbers
+            **exact,
+        )
+        while True:
+            with warnings.catch_warnings():
+                # Rows wider than the header would lose their surplus with no more than a warning.
+                warnings.simplefilter("error", pd.errors.ParserWarning)
+                frame = next(reader, None)
+            if frame is None:
+                return
+            frame.columns = dialect.names
+            yield frame
+    except pd.errors.EmptyDataError:
+        pass
+    except pd.errors.ParserWarning:
+        raise error(
+            f"{file}: rows have more cells than the {len(dialect.names)} names of line "
+            f"{max(dialect.line - 1, 1)}; name every column, and write decimals with a point "
+            "where commas separate cells"
+        ) from None
+    except pd.errors.ParserError as problem:
+        raise error(f"{file} is no table: {_with_line(str(problem), dialect.line)}") from None
 
 
 def _with_line(problem: str, first: int) -> str:

@@ -292,7 +292,13 @@ def _mission(page: Page, report: MissionReport, when: str = "") -> None:
 
 def mission_pictures(report: MissionReport) -> Iterator[Picture]:
     """Yield the route on the map, coloured by the state of charge, and the charge over time."""
-    yield Picture("map", plots.mission_map(report), "The route; its colour is the state of charge.")
+    rows = any(task.path for task in report.mission.tasks)
+    yield Picture(
+        "map",
+        plots.mission_map(report),
+        "The route; its colour is the state of charge."
+        + (" Wide bands are the paths of tasks." if rows else ""),
+    )
     yield Picture(
         "charge",
         plots.mission_charge(report),

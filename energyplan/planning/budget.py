@@ -39,7 +39,7 @@ class Units(NamedTuple):
     step: float = 0.025  # of the search for straight routes
     pose: float = 0.03  # a pose that is tested for collision
     motion: float = 0.07  # a motion that is tested for collision
-    drive: float = 500.0  # a path that is timed
+    drive: float = 350.0  # a path that is timed
     nodes: float = 120.0  # of the cost-to-go, for one unit
     steps: float = 12_000.0  # of the lower bound, for one unit
 

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.cost import EnergyCost
+from energyplan.cost import DrivenRates, EnergyCost
 from energyplan.errors import InfeasibleMotionError
 from energyplan.limits.drive import Ground, Traversal
 from energyplan.limits.speed import corner_rounding, profile
@@ -203,16 +203,42 @@ def driven_share(problem: PlanningProblem) -> float | None:
 
     A drive's price is the integral of its power, and of what time costs, over its time. At every
     instant it moves in some direction at some speed up to the largest, so without accelerations it
-    takes at least `EnergyCost.driven_share` of the steady price of what it covers. What a change of
-    speed adds is the rate of the kinetic energy where power is linear in the accelerations: nothing
-    from standstill to standstill. Losses of accelerating treads do not cancel so: where they
-    depend on the accelerations they are left out, as power without them is less. Nor does the
-    kinetic energy where its mass or the slope changes: no bound is given there. On slopes power has
-    to be in proportion to speed, as then every speed takes the same.
+    takes at least the `share` of `EnergyCost.driven_rates` of the steady price of what it covers.
+    What a change of speed adds is the rate of the kinetic energy where power is linear in the
+    accelerations: nothing from standstill to standstill. Losses of accelerating treads do not
+    cancel so: where they depend on the accelerations they are left out, as power without them is
+    less. Nor does the kinetic energy where its mass or the slope changes: no bound is given there.
+    On slopes power has to be in proportion to speed, as then every speed takes the same.
 
     A rounded corner leaves the path by the vehicle's tracking tolerance, which a controller makes
     up for; the drive that is bounded is the one that arrives.
     """
+    rates = _driven_rates(problem)
+    return None if rates is None else rates.share
+
+
+def driven_bound(problem: PlanningProblem, least: float) -> float | None:
+    """Return what no drive takes less than, given that of steady speeds; both less the potential.
+
+    A drive begins and ends at a standstill. The faster tread gains speed at no more than the
+    motor's acceleration, so after a time ``t``, and as long before the end, what is covered in a
+    second has a steady price of at most ``quickest t``. While that is below what a second takes at
+    any speed, the second is paid for all the same: the difference adds to the share of `least`.
+    """
+    rates = _driven_rates(problem)
+    if rates is None or not (rates.share > 0.0 or least == 0.0):
+        return None
+    bound = rates.share * least
+    if problem.heights is not None or problem.softened or not rates.still > 0.0:
+        return bound
+    slope = rates.share * rates.quickest
+    shortest = 2.0 * np.sqrt(max(least, 0.0) / rates.quickest)  # time that the drive takes
+    ramps = min(shortest, 2.0 * rates.still / slope)
+    return float(bound + rates.still * ramps - 0.25 * slope * ramps**2)
+
+
+def _driven_rates(problem: PlanningProblem) -> DrivenRates | None:
+    """Return the rates of the bound on drives over all ground; None where none is known."""
     weights = problem.weights
     energy, time = weights.get("energy", 0.0), weights.get("time", 0.0)
     prices = Prices(problem.cost, problem.surfaces, problem.objective)
@@ -226,7 +252,9 @@ def driven_share(problem: PlanningProblem) -> float | None:
             time or np.any(known[0]) or not all(cost.same_at_any_speed for cost in costs)
         ):
             return None
-    return min(cost.driven_share(energy, prices.of_time(k)) for k, cost in enumerate(costs))
+    rates = [cost.driven_rates(energy, prices.of_time(k)) for k, cost in enumerate(costs)]
+    share, still, quickest = zip(*rates, strict=True)
+    return DrivenRates(min(share), min(still), max(quickest))
 
 
 def _feels_stops(model: PowerModel, speed: float) -> bool:

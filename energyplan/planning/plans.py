@@ -38,7 +38,7 @@ from energyplan.errors import (
 )
 from energyplan.path import ROUNDING, FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget, plan_budget
-from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
+from energyplan.planning.driven import DrivenPath, drive_plan, driven_bound
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.planning.space.prices import Prices
@@ -396,10 +396,8 @@ class Plan(html.Readable):
         scale = max(abs(cost), abs(self.potential), abs(cost - self.potential))
         if abs(cost - self.cost_steady) <= ROUNDING * scale:  # stops and speeds cost nothing
             return steady._replace(driven=True)
-        share, least = driven_share(problem), self.lower_bound_steady - self.potential
-        if share is None or not (share > 0 or least == 0):
-            return _Rated(cost, None, driven=True)
-        return _Rated(cost, self.potential + share * least, driven=True)
+        bound = driven_bound(problem, self.lower_bound_steady - self.potential)
+        return _Rated(cost, None if bound is None else self.potential + bound, driven=True)
 
     @property
     def goal_reached(self) -> Pose:

@@ -74,6 +74,7 @@ class Refining(NamedTuple):
     hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
     insert: float = 0.02  # probability that a pose is inserted
     remove: float = 0.06  # probability that a pose is removed
+    merge: float = 0.2  # probability that one replaces two, where stops have a price
     first: float = 0.3  # distance by which a pose is moved at first [m]
     anew: float = 0.2  # the same after the smallest [m]
     smallest: float = 1e-4  # least distance by which poses are moved [m]
@@ -88,8 +89,7 @@ class Refining(NamedTuple):
     opening: float = 500.0  # units of work of a path's first turn, with its shortcuts
     turns: float = 200.0  # units of work of each turn that follows
     kept: int = 4  # paths that stay in the portfolio
-    leading: int = 2  # how many of them get another turn, and copies of the best refined at once
-    rounds: int = 3  # how often the best is refined anew although that may be in vain
+    leading: int = 2  # how many of them get another turn
     hope: float = 1.03  # cost over the best one above which a path is given up [1]
     same: float = 1e-9  # share of the cost by which paths differ that count as two
 
@@ -100,16 +100,34 @@ REFINING = Refining()
 class FewerStops(NamedTuple):
     """Constants of the search for paths with fewer stops."""
 
-    least: float = 1e-3  # part of the objective that stops take from which they are looked at
+    least: float = 1e-3  # part of the objective that stops take from which they have a price
     most: float = 0.03  # part of the objective from which other routes are searched
-    # work left, over that of a drive, with which stops are priced before paths are refined
-    drives: float = 3.0
-    # prices of a stop over what one takes on the best path [1]
-    prices: tuple[float, ...] = (1.0, 3.0)
-    polish: int = 800  # attempts to refine a path along another route
+    # prices of a stop for paths near the best one, over the one that paths are searched with [1]
+    prices: tuple[float, ...] = (3.0, 0.0)
+    polish: int = 800  # attempts to refine such a path
 
 
 STOPS = FewerStops()
+
+
+class Stages(NamedTuple):
+    """Work of the stages of planning. It does not depend on the budget: more only adds stages."""
+
+    first: float = 1000.0  # units of work of the first; each has twice that of the one before
+    routes: float = 0.3  # part of it for routes
+    aside: float = 0.075  # part for straight routes, and for the coarse lattice
+    passages: float = 0.25  # part for narrow passages
+    bound: float = 0.25  # part for the lower bound
+    least_bound: float = 200.0  # units for the lower bound at first, whatever is left
+    short: float = 0.25  # part for shortening the shortest path
+    enough: float = 0.2  # part of its units up to which a search had enough of them
+    step: float = 300.0  # units that a step of refining a path takes at most
+    # part of the work done after which the best path is driven again, and units at least
+    drive: float = 0.25
+    drive_least: float = 1000.0
+
+
+STAGES = Stages()
 
 
 class Rejoining(NamedTuple):

@@ -150,3 +150,42 @@ def test_an_order_alone_is_named(tmp_path: Path) -> None:
     (tmp_path / "order.json").write_text(json.dumps(ORDER))
     with pytest.raises(MissionError, match="VDA 5050: give it as the tasks of a mission"):
         read_mission(tmp_path / "order.json")
+
+
+def posed(x: float, y: float, yaw: float) -> dict[str, Any]:
+    turn = {"x": 0.0, "y": 0.0, "z": np.sin(yaw / 2), "w": np.cos(yaw / 2)}
+    return {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
+
+
+@pytest.mark.parametrize("tasks", [
+    {"poses": [posed(2.0, 8.0, 0.5), posed(11.0, 8.0, -2.0)]},
+    {"header": {"frame_id": "map"}, "poses": [
+        {"header": {"frame_id": "map"}, "pose": posed(2.0, 8.0, 0.5)},
+        {"header": {"frame_id": "map"}, "pose": posed(11.0, 8.0, -2.0)}]},
+    {"waypoints": [posed(2.0, 8.0, 0.5), [11.0, 8.0, "-114.591559deg"]]},
+])  # fmt: skip
+def test_poses_of_messages_and_lists_are_tasks(tmp_path: Path, tasks: dict[str, Any]) -> None:
+    found = mission(tmp_path, tasks)
+    poses = [(2.0, 8.0, 0.5), (11.0, 8.0, -2.0)]
+    np.testing.assert_allclose([task.pose for task in found.tasks], poses, atol=1e-6)
+    assert not any("not used" in note for note in found.notes)
+
+
+def test_a_message_that_is_echoed_ends_with_dashes(tmp_path: Path) -> None:
+    (tmp_path / "round.yaml").write_text(HEAD)
+    text = json.dumps({"poses": [posed(2.0, 8.0, 0.5)]}, indent=1)
+    (tmp_path / "tasks.yaml").write_text(f"{text}\n---\n")
+    (task,) = read_mission(tmp_path / "round.yaml").tasks
+    np.testing.assert_allclose(task.pose, (2.0, 8.0, 0.5))
+
+
+@pytest.mark.parametrize(("content", "kind"), [
+    ('<?xml version="1.0"?>\n<gpx version="1.1"><wpt lat="47" lon="8"/></gpx>', "GPX"),
+    ('<kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML"),
+    ('{"docking_stations": [], "areas": []}', "a map of OpenMower"),
+])  # fmt: skip
+def test_files_of_other_tools_are_named(tmp_path: Path, content: str, kind: str) -> None:
+    (tmp_path / "round.yaml").write_text(HEAD)
+    (tmp_path / "tasks.yaml").write_text(content)
+    with pytest.raises(MissionError, match=kind):
+        read_mission(tmp_path / "round.yaml")

@@ -153,6 +153,55 @@ def test_a_geotiff_in_the_unit_that_its_keys_say(tmp_path, given, more, across, 
     assert ground.height(at) == pytest.approx(4.0 * up, rel=1e-9)
 
 
+METRIC = {
+    "WGS 84 / UTM north": (32601, 32660), "WGS 84 / UTM south": (32701, 32760),
+    "ETRS89 / UTM": (25828, 25838), "NAD83 / UTM": (26901, 26923),
+    "NAD83(2011) / UTM": (6328, 6348), "GDA94 / MGA": (28348, 28358),
+    "GDA2020 / MGA": (7846, 7859), "SIRGAS 2000 / UTM": (31965, 31985),
+    "ETRS89 / LAEA and LCC Europe": (3034, 3035), "RGF93 / CC42 to CC50": (3942, 3950),
+    "Lambert-93": (2154, 2154), "British National Grid": (27700, 27700),
+}  # fmt: skip
+"""First and last codes of EPSG of projections in metres."""
+
+
+@pytest.mark.parametrize("name", METRIC)
+def test_projections_in_metres_are_known_from_the_first_to_the_last_zone(tmp_path, name):
+    tags = {SCALE: (2.0, 2.0, 0.0), TIE_POINT: (0.0, 0.0, 0.0, 10.0, 24.0, 0.0)}
+    first, last = METRIC[name]
+    file = tmp_path / "h.tif"
+    for code in {first, last}:
+        geotiff(file, HILL.astype(np.float32), tags | {GEO_KEYS: keys(model=1, projected=code)})
+        assert read_heights(file).resolution == 2.0
+    for code in (first - 1, last + 1):
+        geotiff(file, HILL.astype(np.float32), tags | {GEO_KEYS: keys(model=1, projected=code)})
+        with pytest.raises(MapError, match=f"EPSG:{code} alone"):
+            read_heights(file)
+
+
+def test_vertical_systems_in_metres_are_known(tmp_path):
+    tags = {SCALE: (2.0, 2.0, 0.0), TIE_POINT: (0.0, 0.0, 0.0, 10.0, 24.0, 0.0)}
+    file = tmp_path / "h.tif"
+    for code in (
+        3855,
+        5621,
+        5701,
+        5703,
+        5705,
+        5709,
+        5714,
+        5720,
+        5728,
+        5730,
+        5773,
+        5776,
+        5783,
+        7837,
+    ):
+        given = keys(model=1, projected=32633, system=code)
+        geotiff(file, HILL.astype(np.float32), tags | {GEO_KEYS: given})
+        np.testing.assert_array_equal(read_heights(file).heights, HILL[::-1])
+
+
 @pytest.mark.parametrize("value", [-9999.0, -32768.0, 3.4e38])
 def test_heights_that_no_ground_has(tmp_path, value):
     (tmp_path / "h.asc").write_text(ASC.replace("-9999", "-1").replace("5", f"{value:g}"))

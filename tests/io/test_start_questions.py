@@ -187,7 +187,7 @@ def test_currents_of_the_sides_and_one_voltage_are_mapped_by_hand(tmp_path: Path
 
 
 def test_speeds_of_sides_that_no_name_tells_are_not_the_body_s(tmp_path: Path) -> None:
-    columns = {"links_speed": AT.left, "rechts_speed": AT.right, "gyro_z": AT.yaw_rate}
+    columns = {"vasen_speed": AT.left, "oikea_speed": AT.right, "gyro_z": AT.yaw_rate}
     with pytest.raises(DriveLogError, match="nothing seems to be v_left or v_right"):
         begun(table(tmp_path, time=AT.t, power=AT.power, **columns))
 

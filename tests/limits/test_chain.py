@@ -147,6 +147,23 @@ def test_a_corner_is_rounded_within_the_tolerance_and_saves_the_stop():
         assert yaw[-1] == pytest.approx(path.end.yaw, abs=0.02)
 
 
+@pytest.mark.parametrize("speed", [0.4, 1.5])
+def test_poses_at_a_rounded_corner_are_those_of_the_speeds(speed):
+    model = PowerModel.preset("quadriga:empty:concrete")
+    vehicle = replace(model.vehicle, motor=MotorLimits(speed=speed, acceleration=1.0))
+    path = Path(Pose(0, 0, 0), [2.0, 1.6, 2.0], [0.0, 0.6, 0.0])
+    made = profile(path, model, vehicle=vehicle, smooth=1.0, tolerance=0.1, period=0.02)
+    chords = np.hypot(np.diff(made.x), np.diff(made.y))
+    driven = np.append(0.0, np.cumsum(chords))
+    assert driven == pytest.approx(cumulative_trapezoid(made.v, made.t, initial=0.0), abs=0.05)
+    before, after = driven < 1.05, driven > 4.55  # of the rounded part
+    for straight in (before, after):
+        assert np.abs(made.omega[straight]).max() < 1e-9
+        assert np.diff(made.t[straight]).max() <= 0.02 + 1e-9
+    turned = cumulative_trapezoid(made.omega, made.t, initial=0.0)
+    assert turned[after] == pytest.approx(0.6, abs=0.001)
+
+
 def test_a_corner_is_rounded_only_where_it_may_be_and_where_the_footprint_is_free():
     model = PowerModel.preset("quadriga:empty:concrete")
     c = model.vehicle.icr.left

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from energyplan import Motion, MotorLimits, PowerModel, Trajectory, check
+from energyplan.html import share
 from energyplan.limits import drive as limit_drive
 from energyplan.limits import motor_kernels
 from energyplan.limits.feasibility import feasible_region
@@ -176,6 +177,10 @@ def test_the_outer_motor_is_overloaded_where_the_total_is_not():
     assert (violation.start, violation.end) == (0.0, 5.0)
     assert violation.peak == pytest.approx(sides.right[0])
     assert report.max_speed_scale == pytest.approx(peak / sides.right[0], rel=1e-12)
+    assert report.reason.startswith("too fast: at 0 s the right side's peak power is 226 W")
+    assert report.reason.endswith(f"feasible at {share(report.max_speed_scale)} of the speed")
+    slower = check(path.scaled(0.5 * report.max_speed_scale), PAPER, limited(peak_power=peak))
+    assert slower.reason == "every limit holds up to 200 % of the speed"
 
 
 def test_the_inner_motor_returns_too_much_in_a_forward_arc_on_marble():
@@ -213,6 +218,8 @@ def test_constant_power_heats_the_motor_until_the_window_is_full():
     short = check(drive(np.linspace(0, 9.9, 100), 1.0, 0.0), PAPER, vehicle)
     assert short.feasible
     assert short.max_speed_scale == np.inf
+    idle = check(path, PAPER, limited(continuous_power=0.0, thermal_time=20.0))
+    assert idle.max_speed_scale == 0.0
 
 
 def test_returned_power_does_not_cool_the_motor():

@@ -48,7 +48,7 @@ from energyplan.live import (
     lines_of,
 )
 from energyplan.live.watcher import Settings
-from energyplan.mission import Spreads
+from energyplan.mission import Spreads, Task
 from energyplan.power.effects import with_weight
 from energyplan.terrain import Surface
 
@@ -304,6 +304,35 @@ def test_the_rest_of_the_mission_is_evaluated_from_where_the_robot_is() -> None:
     by_hand = mission.resume((8.0, 1.5, 0.0), last.soc, ["near"], time=15.05, model=learned)
     assert last.report is not None
     assert last.report.energy == pytest.approx(evaluate(by_hand).energy, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("ends", "direction", "is_done"),
+    [((4.0, 7.5), "given", True), ((7.5, 4.0), "either", True), ((7.5, 4.0), "given", False),
+     ((4.0, 10.0), "given", False)],
+)  # fmt: skip
+def test_a_row_is_done_at_its_end_and_the_rest_takes_what_is_left_of_the_mission(
+    ends: tuple[float, float], direction: str, is_done: bool
+) -> None:
+    """Its charge is what was drawn; one that is driven in part or the wrong way is still to do."""
+    line = Task(
+        "row", path=[(x, 1.5) for x in ends], direction=direction,  # type: ignore[arg-type]
+        power=40.0,
+    )  # fmt: skip
+    mission = replace(corridor(), tasks=(line, at("far", 12.0)), return_to="start")
+    settings = Settings()
+    events = told(along(100.0), prior=None, mission=mission, settings=settings)
+    done = only(events, Done)
+    assert [one.task for one in done] == (["row"] if is_done else [])
+    if is_done:
+        assert (7.5 - settings.near - 3.0) / 0.5 <= done[0].t <= 4.5 / 0.5 + 0.1
+    last = only(events, Reassessed)[-1]
+    assert last.done == (("row",) if is_done else ())
+    assert 1.0 - last.soc == pytest.approx(100.0 * 10.0 / CAPACITY, rel=1e-3)
+    learned = only(events, Learned)[-1].model
+    rest = mission.resume((8.0, 1.5, 0.0), last.soc, last.done, time=15.05, model=learned)
+    assert last.report is not None
+    assert last.report.energy == pytest.approx(evaluate(rest).energy, rel=1e-3)
 
 
 def test_a_measured_charge_is_believed_and_one_that_cannot_be_is_told() -> None:

@@ -1,17 +1,22 @@
 """Tasks at places: the mission chooses the headings that cost least together."""
 
+import importlib
+import sys
 from dataclasses import replace
-from itertools import pairwise, permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from energyplan import EnergyCost, Goal, OccupancyGrid, PowerModel, steering
+from energyplan import Goal, OccupancyGrid, PowerModel
 from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.io.files import bundled
 from energyplan.io.mission import mission_from
 from energyplan.mission import Mission, Task, evaluate
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+brute_force = importlib.import_module("places")
 
 MODEL = PowerModel.preset("quadriga:empty:concrete")
 
@@ -29,25 +34,6 @@ def mission(poses, start=(2.0, 2.0, 0.5), walls=False, order="free") -> Mission:
     )  # fmt: skip
 
 
-def least(start, places, headings=16) -> float:
-    """Return the least energy of all orders and headings, without obstacles [J]."""
-    cost = EnergyCost(MODEL, battery=True)
-    yaws = np.arange(headings) * 2 * np.pi / headings
-    poses = [np.array([start])]
-    poses += [np.column_stack([np.tile(place, (headings, 1)), yaws]) for place in places]
-    ways = {
-        (a, b): steering.energy(poses[a][:, None], poses[b][None], cost)
-        for a in range(len(poses)) for b in range(len(poses)) if a != b
-    }  # fmt: skip
-    best = np.inf
-    for order in permutations(range(1, len(poses))):
-        total = ways[0, order[0]][0]
-        for a, b in pairwise(order):
-            total = (total[:, None] + ways[a, b]).min(axis=0)
-        best = min(best, float((total + ways[order[-1], 0][:, 0]).min()))
-    return best
-
-
 def test_free_places_cost_what_the_best_of_16_headings_do():
     """Order and headings are within 1 % of brute force, and better than heading 0 in the mean."""
     saved = []
@@ -57,7 +43,7 @@ def test_free_places_cost_what_the_best_of_16_headings_do():
         free = evaluate(mission(places))
         fixed = evaluate(mission([(*place, 0.0) for place in places]))
         assert free.feasible
-        assert free.energy <= 1.01 * least((2.0, 2.0, 0.5), places)
+        assert free.energy <= 1.01 * brute_force.least(places)
         assert all(one.goals for one in free.mission.tasks)
         saved.append(1.0 - free.energy / fixed.energy)
     assert np.mean(saved) > 0.03

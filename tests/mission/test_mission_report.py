@@ -13,7 +13,7 @@ from corridors import METRE, at, charger, corridor
 from energyplan.battery import Battery
 from energyplan.io.files import bundled
 from energyplan.io.mission import read_mission
-from energyplan.mission import Charger, MissionReport, Routes, Spreads, evaluate
+from energyplan.mission import Charger, MissionReport, Routes, Spreads, Task, evaluate
 from energyplan.output import documents, text
 from energyplan.output.pages import mission_page
 from energyplan.path import Pose
@@ -135,6 +135,15 @@ def test_the_timetable_has_no_gap_and_the_headline_tells_how_long_it_charges() -
         if "charge" in shown and "dock" in shown:
             assert f"{minutes:.1f}" in shown
     assert documents.mission(report)["timetable"][1]["place"] == "a"
+
+
+def test_a_report_says_what_the_bands_of_its_map_are() -> None:
+    """The paths of tasks are wide bands; where all tasks are at places there are none."""
+    place = at("a", 11.0)
+    x, y, _ = place.pose
+    row = Task("row", path=[(x, y), (x + 3.0, y)])
+    pages = [mission_page(evaluate(corridor(1e5, (one,), 5.0))).html() for one in (row, place)]
+    assert ["Wide bands are the paths of tasks" in page for page in pages] == [True, False]
 
 
 def test_what_is_not_done_has_no_times() -> None:

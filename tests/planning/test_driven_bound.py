@@ -139,3 +139,11 @@ def test_json_says_which_key_goes():
     assert "energy_driven" in document["deprecated"]["energy"]
     assert document["gap_of"] == "driven"
     assert document["cost"] == document["energy_driven"]
+
+
+@pytest.mark.parametrize("length", [0.3, 6.0])
+def test_speeding_up_and_slowing_down_once_is_in_the_bound_of_the_least_time(length):
+    """Straight ahead nothing else is left of the gap, however short the way is."""
+    plan = planned(MODEL, ((1.5, 3, 0), (1.5 + length, 3, 0)), objective="time")
+    assert plan.cost > 1.05 * plan.cost_steady
+    assert 0.0 <= plan.gap < 1e-3

@@ -206,8 +206,7 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     assert made == []
 
 
-def test_much_more_effort_is_better_and_effort_is_what_was_spent():
-    """A little more may be a little worse: the budget is shared otherwise."""
+def test_more_effort_is_better_and_effort_is_what_was_spent():
     efforts = (1_000, 12_000, 40_000)
     found = [plan(PROBLEM, effort=effort, gap=0.0) for effort in efforts]
     assert found[0].energy > found[1].energy > found[2].energy

@@ -47,11 +47,17 @@ class Paths:
     entered: list[Segments] = field(default_factory=list)
     stuck: list[Tracked] = field(default_factory=list)  # routes that could not be tracked
     through_passages: bool = False  # whether narrow passages were searched
+    stop: float = 0.0  # price of a stop
 
     @property
     def setting(self) -> KernelProblem:
         """The problem between the ends of searches, as the kernels see it."""
-        return self.ends.between(self.query.setting)
+        return self.ends.between(self.query.setting)._replace(stop=self.stop)
+
+    def price_stops(self, stop: float) -> None:
+        """Compare and refine paths with a price of every stop from now on."""
+        self.stop = stop
+        self.portfolio = self.portfolio.priced(stop)
 
     @property
     def cost(self) -> float:

@@ -68,8 +68,8 @@ class Tree(NamedTuple):
 class Root(NamedTuple):
     """Where a search without a goal begins, at which cost."""
 
-    x: float  # [m]
-    y: float  # [m]
+    x: float  # x and y of the place [m]
+    y: float
     heading: int  # index of its heading, from that of the problem's start on
     cost: float
 

@@ -6,21 +6,21 @@ each step, so it can stop at any time.
 
 `Portfolio` divides the budget among several paths. How cheap a path becomes shows only when it is
 refined, and a path that starts cheaper often ends more expensive. So all of them are refined a
-little, the better ones more, and the best four to the end: with two of them, a plan of effort
-50,000 costs up to 1.2 % more at steady speeds, and 2.3 % as driven.
+little, the best to the end, and after it those of the best four that are not much worse.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import partial
-from math import hypot, inf
+from math import atan2, cos, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from energyplan.compilation import Flags, Floats, FloatTable, Words, inner, njit
 from energyplan.path import Path, Pose
-from energyplan.planning.budget import UNITS, Budget, Work, do_together, side_by_side
+from energyplan.planning.budget import UNITS, Budget, Work
 from energyplan.planning.settings import REFINING
 from energyplan.planning.space.compiled import Segments, merged
 from energyplan.planning.space.motions import KernelProblem, join, motion_cost, pose_at, put_pose
@@ -77,6 +77,8 @@ def shortcut(
             if UNITS.steer * steered + UNITS.join * tested >= most:
                 break
             limit = best[j] - best[i] - 1e-9 - setting.stop
+            if setting.stop > 0.0:  # of equal ways that of fewer poses, which move as one
+                limit += 2e-9
             if limit <= 0:
                 continue
             a = pose_at(chain.poses, i)
@@ -150,12 +152,15 @@ def _copy(chain: Chain, k: int, other: int) -> None:
 
 @inner
 def _try_move(
-    chain: Chain, setting: KernelProblem, k: int, pose: Pose, ds: Floats, dtheta: Floats
-) -> bool:
-    """Move pose `k` of the chain if that is cheaper and free."""
-    old = chain.cost[k - 1] + chain.cost[k]
+    chain: Chain, setting: KernelProblem, k: int, left_out: int, pose: Pose, ds: Floats,
+    dtheta: Floats,
+) -> bool:  # fmt: skip
+    """Move pose `k` and leave out some poses after it, if that is cheaper and free."""
+    old = 0.0
+    for i in range(k - 1, k + 1 + left_out):
+        old += chain.cost[i]
     a = pose_at(chain.poses, k - 1)
-    b = pose_at(chain.poses, k + 1)
+    b = pose_at(chain.poses, k + 1 + left_out)
     steering = setting.steering
     before = steer_energy(pose.x - a.x, pose.y - a.y, a.yaw, pose.yaw, steering)
     rest = steer_energy(b.x - pose.x, b.y - pose.y, pose.yaw, b.yaw, steering)
@@ -178,6 +183,35 @@ def _try_move(
     chain.kept[k - 1] = False
     chain.kept[k] = False
     return True
+
+
+@inner
+def _between(chain: Chain, setting: KernelProblem, k: int, state: Words) -> Pose:
+    """Return a pose near pose `k` and the next one, turned to where it is reached from or left to.
+
+    What is driven straight there or from there needs no turn, so that it ends with one stop fewer.
+    """
+    share = random_number(state)
+    here = pose_at(chain.poses, k)
+    there = pose_at(chain.poses, k + 1)
+    step = chain.step[k] + 0.5 * hypot(there.x - here.x, there.y - here.y)
+    x = here.x + share * (there.x - here.x) + step * (2.0 * random_number(state) - 1.0)
+    y = here.y + share * (there.y - here.y) + step * (2.0 * random_number(state) - 1.0)
+    return _facing(chain, k, Pose(x, y, here.yaw), 1, state)
+
+
+@inner
+def _facing(chain: Chain, k: int, pose: Pose, left_out: int, state: Words) -> Pose:
+    """Return a place for pose `k`, facing along the straight line from or to its neighbour."""
+    if random_number(state) < 0.5:
+        other = pose_at(chain.poses, k - 1)
+        yaw = atan2(pose.y - other.y, pose.x - other.x)
+    else:
+        other = pose_at(chain.poses, k + 1 + left_out)
+        yaw = atan2(other.y - pose.y, other.x - pose.x)
+    if cos(yaw - pose.yaw) < 0.0:
+        yaw += pi
+    return Pose(pose.x, pose.y, yaw)
 
 
 @inner
@@ -237,6 +271,14 @@ def _along(
     return here
 
 
+@inner
+def _without(chain: Chain, count: int, k: int) -> int:
+    """Leave out pose `k`, whatever motions cost then; return the new number."""
+    for i in range(k, count - 1):
+        _copy(chain, i, i + 1)
+    return count - 1
+
+
 @njit
 def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state: Words) -> int:
     """Move, remove and insert poses at random where that is cheaper; return their number."""
@@ -260,11 +302,17 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
             limit = old * (1 + 1e-12)
             cost, _ = join(setting, a, b, limit, ds, dtheta)
             if cost < inf:
-                for i in range(k, count - 1):
-                    _copy(chain, i, i + 1)
+                count = _without(chain, count, k)
                 chain.cost[k - 1] = cost
                 chain.kept[k - 1] = False
-                count -= 1
+            continue
+        if setting.stop > 0.0 and k < count - 2 and what > 1.0 - REFINING.merge:
+            pose = _between(chain, setting, k, state)
+            if _try_move(chain, setting, k, 1, pose, ds, dtheta):
+                cost = chain.cost[k]
+                count = _without(chain, count, k + 1)
+                chain.cost[k] = cost
+                chain.kept[k] = False
             continue
         step = chain.step[k]
         x = chain.poses[k, 0]
@@ -276,7 +324,10 @@ def polish(chain: Chain, setting: KernelProblem, count: int, trials: int, state:
             y += step * (2.0 * random_number(state) - 1.0)
         if kind > 1.0 - REFINING.turn:
             yaw += step / setting.half_track * (2.0 * random_number(state) - 1.0)
-        if _try_move(chain, setting, k, Pose(x, y, yaw), ds, dtheta):
+        pose = Pose(x, y, yaw)
+        if setting.stop > 0.0 and random_number(state) < 0.5:
+            pose = _facing(chain, k, pose, 0, state)
+        if _try_move(chain, setting, k, 0, pose, ds, dtheta):
             chain.step[k] = min(step * REFINING.longer, REFINING.largest)
         else:
             chain.step[k] = max(step * REFINING.shorter, REFINING.smallest)
@@ -385,12 +436,6 @@ class Refiner:
                 reach *= 2
         self._shortcut(REFINING.apart, budget)
 
-    def with_fewer_stops(self, budget: Budget, most: int) -> Segments:
-        """Return the motions that are cheapest with the stops of the problem, refined a little."""
-        self.shortcut(budget)
-        self.polish(budget, most=most)
-        return self.segments
-
     def _shortcut(self, apart: int, budget: Budget) -> None:
         # few poses take little work, and a path whose first part alone is shortened gains less
         most = budget.left if self.count > REFINING.apart else np.inf
@@ -406,45 +451,40 @@ class Refiner:
         if self.cost > before[2]:
             self.chain, self.count = before[0], before[1]
 
-    def polish(
-        self,
-        budget: Budget,
-        patience: int = REFINING.patience,
-        enough: float = 0.0,
-        most: int | None = None,
-    ) -> None:
-        """Move poses until the budget is over, the cost is `enough`, or little is gained."""
-        mark, since, spent = self.cost, 0, 0
-        while not budget.over and self.cost > enough:
-            self.count = int(
-                polish(self.chain, self.setting, self.count, REFINING.trials, self._state)
-            )
-            budget.spend(UNITS.join * REFINING.trials)
-            since += REFINING.trials
-            spent += REFINING.trials
-            if self.count < 3 or (most is not None and spent >= most):
+    def polish(self, budget: Budget, enough: float = 0.0, most: int = REFINING.trials) -> None:
+        """Move poses, so many times at most, until the budget is over or the cost is `enough`."""
+        for _ in range(0, most, REFINING.trials):
+            if budget.over or self.cost <= enough or self.count < 3:
                 break
-            if self.cost < mark * (1.0 - REFINING.gain):
-                mark, since = self.cost, 0
-            elif since >= patience:
-                break
+            trials = REFINING.trials
+            self.count = int(polish(self.chain, self.setting, self.count, trials, self._state))
+            budget.spend(UNITS.join * trials)
+
+    def steps(self) -> Iterator[Callable[[Budget], None]]:
+        """Yield the steps that make the path better, until little is gained."""
+        for shorten in (self.shortcut, self.again):
+            yield shorten
+            mark, since = self.cost, 0
+            while since < REFINING.patience and self.count >= 3:
+                yield self.polish
+                since += REFINING.trials
+                if self.cost < mark * (1.0 - REFINING.gain):
+                    mark, since = self.cost, 0
 
 
 class Portfolio:
-    """The best motions known, and those that may still become better."""
+    """The best motions known, and those that have not been refined yet."""
 
     def __init__(self, setting: KernelProblem, seed: int) -> None:
         self.setting = setting
         self.best = Segments(np.empty(0), np.empty(0))
         self.cost = np.inf
-        self.others: list[Segments] = []
-        """What has become of those that stayed to the end."""
-        self.rounds = 0
         self.seed = seed
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
         self._grown = False
         self._kept: list[Refiner] = []
+        self._steps: dict[Refiner, Iterator[Callable[[Budget], None]]] = {}
 
     def enter(self, motions: Segments) -> None:
         """Take in motions from the start to the goal, free of collisions."""
@@ -456,14 +496,16 @@ class Portfolio:
             self.cost, self.best = entrant.cost, motions
         self._fresh.append(entrant)
 
+    def priced(self, stop: float) -> Portfolio:
+        """Return a portfolio of the best motions in which every stop has a price."""
+        other = Portfolio(self.setting._replace(stop=stop), self.seed)
+        other.enter(self.best)
+        return other
+
     def _offer(self, entrant: Refiner) -> None:
+        """Take in what a path was refined to."""
         if entrant.cost < self.cost:
             self.cost, self.best = entrant.cost, entrant.segments
-
-    @property
-    def known(self) -> list[Segments]:
-        """The best few."""
-        return [entrant.segments for entrant in self._kept] or self.others
 
     @property
     def waiting(self) -> bool:
@@ -471,68 +513,40 @@ class Portfolio:
         return bool(self._fresh) or self._grown
 
     def turns(self, enough: float) -> list[Work]:
-        """Return what refines, a little, every path entered since, and the best of those kept."""
+        """Return what refines, a little, every path entered since, and the best of the others."""
 
         def turn(entrant: Refiner, first: bool, own: Budget) -> None:
             if first:
                 entrant.shortcut(own)
-            entrant.polish(own, enough=enough, most=REFINING.trials)
+            entrant.polish(own, enough)
 
         fresh, self._fresh = self._fresh, []
         leading = self._kept[: REFINING.leading] if self._grown else []
         self._grown = bool(fresh)
-        self._kept = self._kept + fresh
+        self._kept += fresh
+
+        def work(entrant: Refiner, first: bool, units: float) -> Work:
+            return Work(partial(turn, entrant, first), units, lambda _: self._settle(entrant))
+
         return [
-            *(Work(partial(turn, one, True), REFINING.opening, self._settle) for one in fresh),
-            *(Work(partial(turn, one, False), REFINING.turns, self._settle) for one in leading),
+            *(work(entrant, True, REFINING.opening) for entrant in fresh),
+            *(work(entrant, False, REFINING.turns) for entrant in leading),
         ]
 
-    def _settle(self, _: None) -> None:
-        """Keep the best few."""
-        self._kept = sorted(self._kept, key=lambda entrant: entrant.cost)[: REFINING.kept]
+    def _settle(self, entrant: Refiner) -> None:
+        """Take in what a path was refined to, and keep the best few."""
+        self._offer(entrant)
+        self._kept = sorted(self._kept, key=lambda one: one.cost)[: REFINING.kept]
+
+    def improve(self, budget: Budget) -> bool:
+        """Refine a path by a step, the best first; return whether there was one that gained yet."""
+        self._kept.sort(key=lambda one: one.cost)
         for entrant in self._kept:
-            self._offer(entrant)
-
-    def run(self, budget: Budget, enough: float) -> None:
-        """Refine every path entered a little, the better ones more, and keep the best few."""
-        while self.waiting and not budget.over:
-            do_together(budget, self.turns(enough))
-
-    def finish(self, budget: Budget, enough: float) -> None:
-        """Refine those kept until little is gained, side by side; see `run`."""
-        if budget.over or self.cost <= enough:
-            return
-        hopeful = [entrant for entrant in self._kept if entrant.cost <= REFINING.hope * self.cost]
-        self._finish(hopeful, budget, enough)
-        self.others = [entrant.segments for entrant in self._kept]
-        self._kept = []
-
-    def improve(self, budget: Budget, enough: float) -> None:
-        """Refine the best path until the budget is over or that gains nothing any more.
-
-        At effort 50,000 it takes 18 % of the work for 0.01 % of the cost, but a path of very many
-        poses, through narrow passages, may else cost 40 % more at effort 20,000 than at 5,000.
-        """
-        gains = True
-        while gains and not budget.over and self.cost > enough:
-            before = self.cost
-            entrants = []
-            for _ in range(REFINING.leading):
-                self.rounds += 1
-                entrants.append(Refiner(self.setting, self.best, self.seed + self.rounds))
-            self._finish(entrants, budget, enough)
-            gains = self.rounds <= REFINING.rounds or self.cost <= before * (1 - 1e-5)
-
-    def _finish(self, entrants: list[Refiner], budget: Budget, enough: float) -> None:
-        """Refine some paths until little is gained."""
-
-        def run(entrant: Refiner, own: Budget) -> None:
-            entrant.shortcut(own)
-            entrant.polish(own, enough=enough)
-            if not own.over:
-                entrant.again(own)
-            entrant.polish(own, enough=enough)
-
-        side_by_side(budget, [partial(run, entrant) for entrant in entrants], budget.left)
-        for entrant in entrants:
-            self._offer(entrant)
+            if entrant.cost > REFINING.hope * self.cost:
+                break
+            step = next(self._steps.setdefault(entrant, entrant.steps()), None)
+            if step is not None:
+                step(budget)
+                self._offer(entrant)
+                return True
+        return False

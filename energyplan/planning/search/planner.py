@@ -6,15 +6,14 @@
    between the poses with room.
 2. `find_first`: the shortest route through the free configurations is tracked by exact
    minimum-energy motions, and shortened to a first plan; other searches where that fails.
-3. `_find_more`: up to four routes, each cheapest by its length and turns and the later ones away
-   from the former, are tracked as well, a coarse lattice compares routes through open ground, and
-   narrow passages are searched. A lower bound on every path's cost is computed in parallel.
-4. `_shorten`: the shortest of all paths found is shortened with a part of what is left. It is
-   the answer where length is the objective, and a plan of least energy costs no more.
-5. `_refine`: the paths compete for the budget to be refined. Planning ends when the budget is
-   over, the gap to the bound is closed, or nothing is gained any more.
-6. `_with_fewer_stops`: where stops take energy or time, paths are compared by what driving them
-   takes. Where they take much, it comes in place of the step before.
+3. `_Stages`: the first path is refined a little and driven, where stops take energy or time, so
+   that a stop has a price from then on. Then come stages of growing work: routes, each cheapest by
+   its length and turns and the later ones away from the former, are tracked, a coarse lattice
+   compares routes through open ground, and narrow passages are searched; in parallel a lower bound
+   on every path's cost is computed. The shortest of all paths is shortened: it is the answer where
+   length is the objective, and a plan of least energy costs no more. The best paths are refined,
+   and driven from time to time. Planning ends when the budget is over, the gap to the bound is
+   closed, or nothing is gained any more.
 
 Each path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
 quicker: a single spin replaces pivots back and forth.
@@ -27,6 +26,7 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from math import remainder
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding, prepare_bound
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
-from energyplan.planning.driven import stops_count
+from energyplan.planning.driven import DrivenPath, stops_count
 from energyplan.planning.plans import Candidate
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.first import Paths, between_ends, find_first
@@ -47,8 +47,8 @@ from energyplan.planning.search.narrow.ends import surely_has_room
 from energyplan.planning.search.narrow.passages import passage_work
 from energyplan.planning.search.optimise import Portfolio, Refiner
 from energyplan.planning.search.routes import cheapest_routes, straight_routes
-from energyplan.planning.search.stops import Stops, least_driven, stops_of
-from energyplan.planning.settings import LATTICE, REFINING, STOPS
+from energyplan.planning.search.stops import Answer, with_expensive_turns
+from energyplan.planning.settings import LATTICE, REFINING, STAGES, STOPS
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import regions_for
 from energyplan.records import checked
@@ -71,72 +71,264 @@ def plan(
     query = compiled(problem)
     base = query.leading  # of least energy, also where the shortest path is wanted
     budget.beside(lambda: regions_for(base.setting))
-    stops = stops_count(base.problem)
-    planning = budget.part(1.0 - SHARES.aside) if stops else budget
-    paths = between_ends(base, planning, gap, seed)
+    paths = between_ends(base, budget, gap, seed)
     known = [path for path in initial if problem.fault(path) is None]
     for path in known:
         paths.enter(base.of_centre(path.ds, path.dtheta))
     if bound is not None and base is query:
         paths.bounding.know(bound - query.potential(problem.goal))
-    find_first(paths, planning)
-    first = planning.elapsed
-    kept = _find_more(paths, planning)
+    find_first(paths, budget)
+    first = budget.elapsed
+    stages = _Stages(paths, budget, known, length=base is not query)
+    stages.run()
     if base is not query:
-        short = _shorten(paths, query, planning, ())
-        path = _finished(query, [query.path(short), *known])
+        path = stages.shortest.best()
         least = Bounding(query)
         if bound is not None:
             least.know(bound - query.potential(problem.goal))
         beyond = query.value(path) - query.potential(problem.goal)
-        do_together(planning, least.work(beyond, kept))
+        do_together(budget, least.work(beyond, SHARES.aside * budget.left))
         return Candidate(path, query.potential(problem.goal) + least.value, first)
-    done = paths.cost <= paths.enough or planning.over
-    bounding = [] if done else paths.bounding.work(paths.cost, kept)
-    shortest: list[Path] = []
-    if is_length(problem) or paths.cost <= paths.bounding.value * (1.0 + REFINING.same):
-        do_together(planning, bounding)
-    else:
-        of = compiled(problem.shortest)
-        short = _shorten(paths, of, planning, bounding)
-        with suppress(PlanningError):
-            shortest = [_finished(of, [of.path(short)])]
-            paths.enter(base.motions_of(of, short))
-    rivals = [*shortest, *known]
-    if not stops:
-        _refine(paths, planning)
-        drive = Stops(_finished(query, [query.path(paths.portfolio.best), *rivals]))
-    else:
-        drive = _with_fewer_stops(paths, query, planning, budget, rivals)
+    path, driven = stages.answered()
+    beyond = query.value(path) - query.potential(problem.goal)
+    left = min(budget.left, SHARES.aside * (budget.limit or 0))
+    do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
     value = query.potential(problem.goal) + paths.bounding.value
-    return Candidate(drive.path, value, first, next(iter(shortest), None), drive.driven)
+    return Candidate(path, value, first, None if stages.exact else stages.shortest.path, driven)
 
 
-def _find_more(paths: Paths, budget: Budget) -> float:
-    """Find further paths for a part of the budget; return the units that are kept for a bound."""
-    searching = budget.part(SHARES.stage)
-    kept = SHARES.aside * budget.left
-    setting, portfolio = paths.setting, paths.portfolio
-    routes = partial(cheapest_routes, setting, paths.to_go, stuck=paths.stuck)
-    routing = Work(routes, SHARES.stage * searching.left, paths.enter_between)
-    aside = 0.5 * SHARES.aside * searching.left
-    straight = partial(straight_routes, setting, paths.to_go)
-    straightening = Work(straight, aside, paths.enter_hopeful)
-    comparing = _compared(paths, aside)
-    do_together(searching, [*portfolio.turns(paths.enough), routing, straightening, comparing])
-    if searching.over or paths.cost <= paths.enough:
-        return kept
-    works = paths.bounding.work(paths.cost, kept)
-    if not paths.through_passages:
-        works += passage_work(setting, paths.to_go, searching, paths.enter_between)
-    # in parallel with the next turns of the known paths, each at most half of what the former leave
-    every, left = [*portfolio.turns(paths.enough), *works], searching.left
-    for k, work in enumerate(every):
-        every[k] = work._replace(units=min(work.units, SHARES.stage * left))
-        left -= every[k].units
-    do_together(searching, every)
-    portfolio.run(searching, paths.enough)
-    return kept
+class _EffortOverError(Exception):
+    """The next step does not fit into the effort that is left."""
+
+
+class _Stages:
+    """The stages after the first path: routes, shortening and refining, each with more work.
+
+    No step depends on the budget but by whether it fits: a larger budget does the same and then
+    more. So a plan of more effort is never worse.
+    """
+
+    def __init__(
+        self, paths: Paths, budget: Budget, known: Sequence[Path], *, length: bool = False
+    ) -> None:
+        query = paths.query
+        self.length = length  # whether the shortest path is the answer
+        self.paths, self.budget, self.known = paths, budget, known
+        self.begun = budget.spent
+        self.answer = Answer(query, stops_count(query.problem))
+        self.short_query = compiled(query.problem.shortest)
+        self.shortest = Answer(self.short_query, driven=False)
+        self.short = None if is_length(query.problem) else Portfolio(self.short_query.setting, 1)
+        self.short_open = self.short is not None
+        self.open = {"routes", "straight", "compared", "turning", "passages"}
+        self.varied = -1.0
+        self.driven_at = 0.0
+
+    def run(self) -> None:
+        """Do all steps that fit, until nothing is left to gain."""
+        with suppress(_EffortOverError):
+            self._begin()
+            size = STAGES.first
+            while True:
+                self._search(size)
+                self._turns()
+                self._shorten(size)
+                self._weigh()
+                gains = self._improve(size)
+                size *= 2.0
+                if not (gains or self.open or self.shortening):
+                    break
+
+    @property
+    def done(self) -> float:
+        """Units of work done since the first path was known."""
+        return self.budget.spent - self.begun
+
+    @property
+    def closed(self) -> bool:
+        """Whether no path is better by more than the gap that is allowed."""
+        paths = self.paths
+        return paths.stop == 0.0 and paths.cost <= paths.enough
+
+    def _need(self, units: float) -> None:
+        """End the stages if so many units of work are not left."""
+        if self.budget.left < units:
+            raise _EffortOverError
+
+    def _do(self, works: Sequence[Work]) -> None:
+        """Do some work at once, if it fits."""
+        self._need(sum(work.units for work in works))
+        do_together(self.budget, works)
+
+    def _weigh(self) -> None:
+        """Take the best path that is known, if driving it takes less than the answer."""
+        query = self.paths.query
+        if self.answer.drives:
+            self._need(UNITS.drive)
+        elif isinstance(query.problem.cost.steering_parameters, StaticSteering):
+            return  # one at the end will do
+        self.answer.weigh(_finished(query, self.paths.portfolio.best), self.budget)
+        self.driven_at = self.done
+
+    def _begin(self) -> None:
+        """Refine the first path a little, drive it, and price its stops."""
+        # these steps are done whatever is left: so they are the same with any budget
+        paths, answer = self.paths, self.answer
+        self._refine_first()
+        first = _finished(paths.query, paths.portfolio.best)
+        answer.weigh(first, self.budget)
+        if answer.path is None:  # the motors drive it at no speed
+            self.answer = answer = Answer(paths.query, driven=False)
+            answer.weigh(first, self.budget)
+        self.shortest.weigh(first, self.budget)
+        for path in self.known:
+            self.shortest.weigh(path, self.budget)
+            answer.weigh(path, self.budget)
+        self._shorten_by(REFINING.opening)
+        own = Budget(effort=round(STAGES.least_bound))
+        do_together(own, paths.bounding.work(paths.cost, STAGES.least_bound))
+        self.budget.spend(own.spent)
+        if answer.each:
+            paths.price_stops(answer.each)
+            self._refine_first()
+            answer.weigh(_finished(paths.query, paths.portfolio.best), self.budget)
+            self.driven_at = self.done
+
+    def _refine_first(self) -> None:
+        """Refine the paths that are known a little, whatever is left."""
+        works = self.paths.portfolio.turns(self.paths.enough)
+        own = Budget(effort=1 + round(sum(work.units for work in works)))
+        do_together(own, works)
+        self.budget.spend(own.spent)
+
+    def _turns(self) -> None:
+        """Refine, a little, every path that was entered."""
+        portfolio = self.paths.portfolio
+        while portfolio.waiting:
+            works = portfolio.turns(self.paths.enough)
+            for k in range(0, len(works), 2):
+                self._do(works[k : k + 2])
+
+    def _search(self, size: float) -> None:
+        """Search further paths, and a better bound."""
+        if self.closed:
+            self.open.clear()
+        if not self.open:
+            return
+        paths, setting = self.paths, self.paths.setting
+        works = {
+            "routes": Work(
+                partial(cheapest_routes, setting, paths.to_go, stuck=paths.stuck),
+                STAGES.routes * size, paths.enter_between,
+            ),
+            "straight": Work(
+                partial(straight_routes, setting, paths.to_go),
+                STAGES.aside * size, paths.enter_hopeful,
+            ),
+            "compared": _compared(paths, STAGES.aside * size),
+        }  # fmt: skip
+        turning = self.answer.path.turning if self.answer.path else 0.0
+        if self.answer.extra > STOPS.most * abs(self.answer.value) and turning > 0.0:
+            expensive = with_expensive_turns(setting, self.answer.extra / turning)
+            works["turning"] = works["routes"]._replace(
+                run=partial(cheapest_routes, expensive, paths.to_go)
+            )
+        chosen = [self._whole(name, works[name]) for name in works if name in self.open]
+        self._do([*chosen, *paths.bounding.work(paths.cost, STAGES.bound * size)])
+        if "passages" in self.open and not paths.through_passages:
+            units = STAGES.passages * size
+            several = passage_work(setting, paths.to_go, units, paths.enter_between)
+            self._do([self._whole("passages", work) for work in several])
+
+    def _whole(self, name: str, work: Work) -> Work:
+        """Return some work that is not done again once it did not need all of its units."""
+
+        def run(own: Budget) -> Any:
+            found = work.run(own)
+            if own.spent <= STAGES.enough * work.units:
+                self.open.discard(name)
+            return found
+
+        return work._replace(run=run)
+
+    @property
+    def shortening(self) -> bool:
+        """Whether the shortest path may become shorter yet."""
+        return self.short is not None and self.short_open and not self.exact
+
+    @property
+    def exact(self) -> bool:
+        """Whether no path is better, so that the shortest one does not matter."""
+        paths = self.paths
+        least = paths.bounding.value * (1.0 + REFINING.same)
+        return not self.length and paths.stop == 0.0 and paths.cost <= least
+
+    def _shorten(self, size: float) -> None:
+        """Shorten the shortest of the paths found a little more."""
+        if self.short is not None and not self.exact:
+            self._need(STAGES.short * size + (UNITS.drive if self.answer.drives else 0.0))
+            self._shorten_by(STAGES.short * size)
+
+    def _shorten_by(self, units: float) -> None:
+        """Shorten the shortest of the paths found by so many units of work, whatever is left."""
+        paths, short = self.paths, self.short
+        if short is None or self.exact:
+            return
+        base, of = paths.query, self.short_query
+        known = (of.motions_of(base, one) for one in [*paths.entered, paths.portfolio.best])
+        every = [Refiner(of.setting, one) for one in known]
+        short.enter(min(every, key=lambda one: one.cost).segments)
+        enough = Bounding(of).value * (1.0 + paths.gap)
+        own = Budget(effort=round(units))
+        while short.waiting and not own.over:
+            do_together(own, short.turns(enough))
+        while self.short_open and not own.over and short.cost > enough:
+            self.short_open = short.improve(own)
+        self.short_open = self.short_open and short.cost > enough
+        self.budget.spend(own.spent)
+        with suppress(PlanningError):
+            found = _finished(of, short.best)
+            self.shortest.weigh(found, self.budget)
+            self.answer.weigh(found, self.budget)
+            paths.enter(base.motions_of(of, short.best))
+
+    def _improve(self, size: float) -> bool:
+        """Refine the best path until the next stage is due; return whether it still gains."""
+        portfolio, more = self.paths.portfolio, bool(self.open) or self.shortening
+        while not self.closed:
+            if more and self.done >= 2.0 * size:
+                return True
+            self._need(STAGES.step)
+            if not portfolio.improve(self.budget):
+                break
+            due = max(STAGES.drive_least, STAGES.drive * self.done)
+            if self.done >= self.driven_at + due:
+                self._weigh()
+        self._weigh()
+        self._vary()
+        return False
+
+    def _vary(self) -> None:
+        """Drive paths near the best one that are best at other prices of a stop."""
+        paths, answer = self.paths, self.answer
+        if self.varied == paths.cost or not answer.extra > STOPS.most * abs(answer.value):
+            return
+        self.varied = paths.cost
+        for factor in STOPS.prices:
+            self._need(2.0 * STAGES.step + UNITS.drive)
+            setting = paths.query.setting._replace(stop=factor * paths.stop)
+            refiner = Refiner(setting, paths.portfolio.best)
+            refiner.shortcut(self.budget)
+            refiner.polish(self.budget, most=STOPS.polish)
+            with suppress(PlanningError):
+                answer.weigh(_finished(paths.query, refiner.segments), self.budget)
+
+    def answered(self) -> tuple[Path, DrivenPath | None]:
+        """Return the best path, and its drive where paths were driven."""
+        answer, query = self.answer, self.paths.query
+        if not answer.drives and isinstance(query.problem.cost.steering_parameters, StaticSteering):
+            answer.weigh(_finished(query, self.paths.portfolio.best), self.budget)
+        return answer.best(), answer.driven
 
 
 def _compared(paths: Paths, units: float) -> Work:
@@ -157,63 +349,12 @@ def _compared(paths: Paths, units: float) -> Work:
     return Work(partial(search.cheapest, limit=limit), units, enter)
 
 
-def _shorten(
-    paths: Paths, query: CompiledProblem, budget: Budget, beside: Iterable[Work]
-) -> Segments:
-    """Return the shortest of the paths found, shortened with a part of the remaining budget."""
-    setting, enough = query.setting, Bounding(query).value * (1.0 + paths.gap)
-    short = Portfolio(setting, paths.portfolio.seed)
-    known = (query.motions_of(paths.query, one) for one in [*paths.entered, paths.portfolio.best])
-    every = [Refiner(setting, motions) for motions in known]
-    for one in sorted(every, key=lambda one: one.cost)[: REFINING.kept]:
-        short.enter(one.segments)
-
-    def run(own: Budget) -> None:
-        short.run(own.part(SHARES.stage), enough)
-        short.finish(own, enough)
-        short.improve(own, enough)
-
-    units = min(SHARES.aside * budget.left, budget.spent)
-    do_together(budget, [Work(run, units, lambda _: None), *beside])
-    return short.best
-
-
-def _refine(paths: Paths, budget: Budget) -> None:
-    """Refine the paths until the budget is over, the gap closed, or nothing is gained."""
-    paths.portfolio.finish(budget, paths.enough)
-    paths.portfolio.improve(budget, paths.enough)
-
-
-def _with_fewer_stops(
-    paths: Paths, query: CompiledProblem, planning: Budget, budget: Budget, rivals: Sequence[Path]
-) -> Stops:
-    """Return the path that takes least when it is driven."""
-    portfolio = paths.portfolio
-    if len(portfolio.best.ds) > REFINING.apart:
-        planning = budget  # a path that was hardly shortened yet takes less by that
-    elif budget.left > STOPS.drives * UNITS.drive:
-        found = stops_of(query, query.path(portfolio.best), budget)
-        if found.share >= 1.0:
-            # where stops take much, all that is left is for paths that have few
-            return least_driven(query, found, portfolio.known, paths.to_go, budget, rivals)
-    _refine(paths, planning)
-    path = _finished(query, [query.path(portfolio.best), *rivals])
-    found, before = stops_of(query, path, budget), paths.cost
-    if found.share < 1.0:
-        # what other stops cannot bring is spent as if there were none
-        portfolio.improve(budget.part(1.0 - found.share), paths.enough)
-        if paths.cost < before:
-            path = _finished(query, [found.path, query.path(portfolio.best)])
-            found = stops_of(query, path, budget)
-    return least_driven(query, found, portfolio.others, paths.to_go, budget, rivals)
-
-
-def _finished(query: CompiledProblem, paths: list[Path]) -> Path:
-    """Return the best of some paths with arcs and spins where these are better."""
-    # the cost of a known path by the tables differs from that by the models
+def _finished(query: CompiledProblem, motions: Segments) -> Path:
+    """Return the path of some motions, with arcs and spins where these are better."""
+    path = query.path(motions)
     if max(query.problem.radii) > 0:
-        return min(paths, key=query.value)
-    return _with_fewer_motions(query, _with_wide_arcs(query, min(paths, key=query.value)))
+        return path
+    return _with_fewer_motions(query, _with_wide_arcs(query, path))
 
 
 def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from energyplan.planning.budget import SHARES, UNITS, Budget, Work
+from energyplan.planning.budget import UNITS, Budget, Work
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.tracking import track_route
 from energyplan.planning.settings import NARROW
@@ -30,11 +30,10 @@ from energyplan.planning.space.motions import KernelProblem
 def passage_work(
     setting: KernelProblem,
     known: CostToGo,
-    budget: Budget,
+    units: float,
     enter: Callable[[list[Segments]], object],
 ) -> list[Work]:
     """Return the search for shorter paths through narrow passages, where it may pay."""
-    units = SHARES.aside * budget.left
     if units < max(NARROW.least, NARROW.costs_to_go * known.work / UNITS.nodes):
         return []
     return [Work(partial(paths_through_passages, setting, known), units, enter)]
