@@ -60,14 +60,7 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
             f"the coefficient spread is {spread}; give a part from 0 to below 1"
         )
     quantile = NormalDist().inv_cdf(confidence)
-    half = query.problem.cost.half_track
-    ds, dtheta = query.reference(query.rays[:, 0], query.rays[:, 1] / half)
-    steep = np.zeros((1, 1))
-    if query.steepest > prices.FLAT:
-        steep = np.linspace(-query.steepest, query.steepest, prices.BINS)[:, None]
-    along, slope = ds * np.hypot(1.0, steep), np.arctan(steep)
-    yaw = None if query.yaws is None else query.yaws[:, None]
-    rows = np.zeros((1 if yaw is None else len(yaw), *np.broadcast_shapes(along.shape, ds.shape)))
+    ds, dtheta, along, slope, yaw, rows = _rays(query)
     extra, noise = [], 0.0
     for cost in query.costs:
         if reason := unfounded(cost.model, confidence, spread):
@@ -93,45 +86,91 @@ def upper_prices(query: CompiledProblem, confidence: float, spread: float) -> Up
     return UpperPrices(np.concatenate(extra).reshape(-1, len(ds)), noise, quantile)
 
 
-def energy_of_charge(
-    cost: EnergyCost, battery: Battery, soc: float = 1.0, reserve: float = 0.0
-) -> float:
-    """Return what a battery delivers at the power of the most expensive motion [J].
+class UsableCharge:
+    """What a battery delivers between a state of charge and the reserve, as in a mission."""
 
-    That is from one state of charge down to another, the reserve, as in a mission. A battery that
-    delivers nothing is refused with the reason.
-    """
-    cutoff = battery.cutoff_soc
-    if soc <= reserve + ROUNDING:
-        raise InvalidInputError(
-            f"the reserve {reserve:g} is not below the state of charge {soc:g}; charge first, or "
-            "lower the reserve"
-        )
-    if soc <= cutoff + ROUNDING:
-        raise InvalidInputError(
-            f"the state of charge {soc:g} is not above {cutoff:g}, at which the battery is cut "
-            "off; charge first"
-        )
-    power = most_power(cost)
-    whole, kept = battery.usable_energy(power, [soc, max(reserve, cutoff)])
-    if whole > kept:
-        return float(whole - kept)
-    t = np.linspace(0.0, STEADY * battery.pair_time, 100)
-    reason = battery.simulate(t, np.full(len(t), power), soc=soc).reason
-    why = SAGS.get(reason, SAGS["voltage"])
-    raise InvalidInputError(
-        f"battery {battery.name}: at a charge of {100 * soc:g} % it cannot feed the motion of most "
-        f"power, {power:.0f} W: {why}; give a battery with more strings in parallel, or more charge"
-    )
+    def __init__(
+        self, cost: EnergyCost, battery: Battery, soc: float = 1.0, reserve: float = 0.0
+    ) -> None:
+        """Refuse a battery that delivers nothing to the motion of most power, with the reason."""
+        cutoff = battery.cutoff_soc
+        if soc <= reserve + ROUNDING:
+            raise InvalidInputError(
+                f"the reserve {reserve:g} is not below the state of charge {soc:g}; charge first, "
+                "or lower the reserve"
+            )
+        if soc <= cutoff + ROUNDING:
+            raise InvalidInputError(
+                f"the state of charge {soc:g} is not above {cutoff:g}, at which the battery is cut "
+                "off; charge first"
+            )
+        self.battery, self.soc, self.kept = battery, soc, reserve
+        powers = steady_powers(cost)
+        most = float(np.max(powers))
+        if not self._delivered(most) > 0:
+            t = np.linspace(0.0, STEADY * battery.pair_time, 100)
+            reason = battery.simulate(t, np.full(len(t), most), soc=soc).reason
+            why = SAGS.get(reason, SAGS["voltage"])
+            raise InvalidInputError(
+                f"battery {battery.name}: at a charge of {100 * soc:g} % it cannot feed the motion "
+                f"of most power, {most:.0f} W: {why}; give a battery with more strings in "
+                "parallel, or more charge"
+            )
+        self.energy = float(self._delivered(np.min(powers[..., 0])))  # of straight driving [J]
+
+    def _delivered(self, power: ArrayLike) -> FloatArray:
+        return self.battery.usable_energy(power, self.soc, self.kept)
+
+    def factor(self, power: FloatArray) -> FloatArray:
+        """Return what a joule at a power [W] counts, one at that of straight driving being 1."""
+        least = np.spacing(self.energy)
+        delivered = self._delivered(np.maximum(power, least))
+        return np.maximum(self.energy / np.maximum(delivered, least), 1.0)
 
 
-def most_power(cost: EnergyCost) -> float:
-    """Return the largest power that steady motion on level ground takes [W]."""
+def steady_powers(cost: EnergyCost) -> FloatArray:
+    """Return the powers of steady motions on level ground [W]; straight ahead is the first."""
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     ds, dtheta = np.cos(angle), np.sin(angle) / cost.half_track
     yaw = np.linspace(-np.pi, np.pi, 65)[:, None] if cost.of_heading else None
     joules = cost.segment_energy(ds, dtheta, yaw=yaw)
-    return float(np.max(joules / cost.segment_duration(ds, dtheta)))
+    return np.asarray(joules / cost.segment_duration(ds, dtheta))
+
+
+class _Rays(NamedTuple):
+    """Motions whose prices a search reads: one of each direction, on each slope and heading."""
+
+    ds: FloatArray  # (rays,): length seen from above [m]
+    dtheta: FloatArray  # (rays,): turn [rad]
+    along: FloatArray  # (slopes, rays): length along the slope [m]
+    slope: FloatArray  # (slopes, 1) [rad]
+    yaw: FloatArray | None  # (headings, 1) [rad]
+    rows: FloatArray  # (headings or slopes, rays): nothing, in the shape of prices
+
+
+def _rays(query: CompiledProblem) -> _Rays:
+    half = query.problem.cost.half_track
+    ds, dtheta = query.reference(query.rays[:, 0], query.rays[:, 1] / half)
+    steep = np.zeros((1, 1))
+    if query.steepest > prices.FLAT:
+        steep = np.linspace(-query.steepest, query.steepest, prices.BINS)[:, None]
+    along, slope = ds * np.hypot(1.0, steep), np.arctan(steep)
+    yaw = None if query.yaws is None else query.yaws[:, None]
+    rows = np.zeros((1 if yaw is None else len(yaw), *np.broadcast_shapes(along.shape, ds.shape)))
+    return _Rays(ds, dtheta, along, slope, yaw, rows)
+
+
+def _counted(query: CompiledProblem, charge: UsableCharge, extra: FloatArray | float) -> FloatArray:
+    """Return what is added to the prices so that each joule counts as the battery feels it."""
+    rays, priced = _rays(query), []
+    for cost in query.costs:
+        joules = cost.segment_energy(rays.along, rays.dtheta, rays.slope, yaw=rays.yaw) + rays.rows
+        power = joules / cost.segment_duration(rays.along, rays.dtheta)
+        priced.append((joules, charge.factor(power) - 1.0))
+    joules, more = (
+        np.concatenate(one).reshape(-1, len(rays.ds)) for one in zip(*priced, strict=True)
+    )
+    return np.asarray(extra + more * np.maximum(joules + extra, 0.0))
 
 
 def _directions(cost: EnergyCost, spread: float) -> FloatArray:
@@ -161,7 +200,7 @@ class EnergyMap:
     ----------
     energy : ndarray, shape (rows, columns)
         Energy to reach the place at any heading, and to get back where `back` is set [J]; infinite
-        where none was reached. Row 0 is the lowest.
+        where none was reached. Row 0 is the lowest. With a battery, as `UsableCharge` counts it.
     resolution : float
         Size of a place [m].
     origin : Pose
@@ -247,11 +286,12 @@ class EnergyMap:
             found.append(Contour(float(level), shapely.transform(area, self._to_world)))
         return tuple(found)
 
-    def areas(self, energy: float | None = None) -> tuple[Contour, ...]:
-        """Return `contours` in `STEPS` even steps up to an energy [J].
+    def areas(self, energy: float | UsableCharge | None = None) -> tuple[Contour, ...]:
+        """Return `contours` in `STEPS` even steps up to an energy [J], or what a battery holds.
 
         Where none is given, or nothing lies beyond it, up to that of the farthest place.
         """
+        energy = energy.energy if isinstance(energy, UsableCharge) else energy
         farthest = float(self.energy[np.isfinite(self.energy)].max(initial=0.0))
         limit = farthest if energy is None or np.isinf(self.complete_to) else energy
         levels = [limit * (k / STEPS) for k in range(1, STEPS + 1)]
@@ -266,7 +306,7 @@ class EnergyMap:
 def energy_map(
     problem: PlanningProblem,
     *,
-    energy: float = np.inf,
+    energy: float | UsableCharge = np.inf,
     back: Any = None,
     confidence: float | None = None,
     coefficient_spread: float = 0.0,
@@ -282,8 +322,10 @@ def energy_map(
     ----------
     problem : PlanningProblem
         The problem; its goal and its costmap are not used.
-    energy : float
-        Energy beyond which places are of no interest [J].
+    energy : float or UsableCharge
+        Energy beyond which places are of no interest [J], or what a battery holds. Then motions of
+        a higher power than straight driving count as much more as the battery delivers less at
+        that power.
     back : array_like, shape (3,) or (2,), Goal, or a list of these, optional
         Pose that the robot has to reach afterwards, such as a charger's; the place ``(x, y)``, at
         any heading; or one of several, the one that costs least from each place (see `Goal`). Then
@@ -322,6 +364,8 @@ def energy_map(
     >>> bool(200 * 3.5 < found.energy_at((10, 4)) < 200 * 4.5)
     True
     """
+    charge = energy if isinstance(energy, UsableCharge) else None
+    energy = energy.energy if isinstance(energy, UsableCharge) else energy
     if not energy > 0:
         raise InvalidInputError(f"the energy is {energy} J; give a positive number")
     if coefficient_spread != 0 and confidence is None:
@@ -331,12 +375,15 @@ def energy_map(
     surfaces = None if problem.surfaces is None else problem.surfaces.unpriced
     problem = replace(problem, goal=problem.start, goals=(), costmap=None, surfaces=surfaces)
     there = compiled(problem)
-    upper = None
+    upper, extra = None, np.zeros(())
     if confidence is not None:
         upper = upper_prices(there, confidence, coefficient_spread)
+        extra = upper.extra
+    if charge is not None:
+        extra = _counted(there, charge, extra)
 
     def priced(setting: KernelProblem) -> KernelProblem:
-        return setting if upper is None else setting._replace(prices=setting.prices + upper.extra)
+        return setting._replace(prices=setting.prices + extra)
 
     lattice = coarse_lattice(there.setting)
     spacing = CELLS * lattice.cell

@@ -11,16 +11,19 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 import shapely
+from corridors import CORRIDOR, corridor
 from refusals import check_refusal, lines
-from worlds import COST, room
+from worlds import COST, room, tiny
 
 from energyplan import EnergyCost, Goal, PlanningProblem, Pose, energy_map, plan, steering
+from energyplan.battery import Battery
 from energyplan.errors import MapError, PlanningError
 from energyplan.io.tables import write_contours, write_energies
+from energyplan.mission import Task, evaluate
 from energyplan.planning.space.compiled import CompiledProblem
-from energyplan.power import USUAL_RUN_SPREAD, Residual
+from energyplan.power import USUAL_RUN_SPREAD, PowerModel, Residual
 from energyplan.power.effects import with_weight
-from energyplan.reach import upper_prices
+from energyplan.reach import UsableCharge, upper_prices
 from energyplan.terrain import HeightMap
 
 HALL = room(90, 120, 0.1, np.s_[30:90, 58:62])
@@ -95,6 +98,50 @@ def check_alike(found, expected):
     ratio = found[both] / expected[both]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
     assert np.quantile(ratio, [0.02, 0.98]) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("words", "soc", "reserve"),
+    [
+        ("24 V 20 Ah lead-acid", 0.206, 0.2),
+        ("24 V 20 Ah lead-acid, -10 degC", 0.507, 0.5),
+        ("7S6P 2.5 Ah li-ion", 0.107, 0.1),
+    ],
+)
+def test_a_mission_does_what_is_within_reach_and_no_more(words, soc, reserve):
+    """A drive along a corridor and back, on one battery with a reserve."""
+    pack = Battery.of(words)
+    cost = EnergyCost(PowerModel.preset("quadriga:empty:marble"), battery=True)
+    charge = UsableCharge(cost, pack, soc, reserve)
+    setting = PlanningProblem(CORRIDOR, cost, (3, 1.5, 0), (3, 1.5, 0))
+    within = energy_map(setting, energy=charge, back=(3, 1.5, 0))
+    x = np.arange(3.1, 34.0, 0.2)
+    reached = within.energy_at(np.column_stack([x, np.full(len(x), 1.5)])) <= charge.energy
+    farthest = float(x[reached].max())
+    assert 10.0 < farthest < 33.0
+
+    def done(metres):
+        tasks = (Task("A", Pose(3.0 + metres, 1.5, 0.0)),)
+        return evaluate(corridor(1.0, tasks, 3.0, battery=pack, soc=soc, reserve=reserve)).feasible
+
+    assert done(farthest - 0.1 - 3.0)
+    assert not done(1.02 * (farthest + 0.1 - 3.0))
+
+
+def test_motions_of_high_power_count_more_where_a_battery_loses_by_it():
+    """Turns are what a lossless battery gives them, and more from one that loses by current."""
+    cost = EnergyCost(PowerModel.preset("quadriga:empty:marble"), battery=True)
+    charge = UsableCharge(cost, Battery.of("24 V 20 Ah lead-acid"), 0.21, 0.2)
+    setting = problem(cost)
+    plain, counted = (energy_map(setting, energy=e).energy for e in (charge.energy, charge))
+    both = np.isfinite(plain) & np.isfinite(counted)
+    most = float(charge.factor(np.array(600.0)))
+    ratio = counted[both & (plain > 0)] / plain[both & (plain > 0)]
+    assert 1.1 < most < 1.4
+    assert 1.001 < np.median(ratio) < np.quantile(ratio, 0.95) < most
+    even = UsableCharge(cost, tiny(1e6), 0.01)
+    assert np.array_equal(energy_map(setting, energy=even).energy,
+                          energy_map(setting, energy=even.energy).energy)  # fmt: skip
 
 
 def test_of_several_docks_the_one_that_costs_least_counts():

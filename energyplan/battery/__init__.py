@@ -432,18 +432,22 @@ class Battery(ByValue, html.Readable):
         return BatteryRun(times, out[0], out[1], out[2], out[3], out[4], died, _REASONS[why], left)
 
     @checked(BatteryError)
-    def usable_energy(self, power: ArrayLike, soc: ArrayLike = 1.0) -> FloatArray:
+    def usable_energy(
+        self, power: ArrayLike, soc: ArrayLike = 1.0, kept: float = 0.0
+    ) -> FloatArray:
         """Energy [J] that it delivers at constant power [W] until it gives up.
 
-        Zero where it cannot deliver that power at all. The RC pair is assumed in steady state: the
+        Or until a state of charge that is to be kept. Zero where it cannot deliver that power at
+        all. The RC pair is assumed in steady state: the
         discharge lasts long against its time constant.
         """
         load, start = np.broadcast_arrays(np.asarray(power, float), np.asarray(soc, float))
         _require(bool(np.all(load > 0)), "usable energy is asked at a power that is not positive")
         _require(bool(np.all((start >= 0) & (start <= 1))), "soc must be a fraction in [0, 1]")
         share = np.linspace(1.0, 0.0, 1001)
-        span = np.maximum(start - self.cutoff_soc, 0.0)
-        level = self.cutoff_soc + span[..., None] * share
+        lowest = max(self.cutoff_soc, kept)
+        span = np.maximum(start - lowest, 0.0)
+        level = lowest + span[..., None] * share
         current = self._steady_current(load[..., None], level)
         drop = self._resistance_factor * (self.resistance + self.pair_resistance) * current
         alive = self.ocv(level) - drop >= self.cutoff_voltage

@@ -424,7 +424,7 @@ def reach(
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.reach import energy_map, energy_of_charge
+    from energyplan.reach import UsableCharge, energy_map
 
     if battery and energy is not None:
         raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
@@ -435,7 +435,7 @@ def reach(
     if spread and confidence is None:
         raise InvalidInputError("--spread needs --confidence; give both")
     kept = _fraction("--reserve", reserve)
-    usable: float | None = None
+    usable: float | UsableCharge | None = None
     pose = parse_pose(start)
     # what a battery delivers is measured at the battery
     drive = DriveOptions(model, at_battery=at_battery or battery is not None)
@@ -446,7 +446,7 @@ def reach(
         charge, pack = 1.0 if soc is None else _fraction("--soc", soc), read_battery(battery)
         for note in pack.notes:
             warn(note)
-        usable = energy_of_charge(problem.cost, pack, charge, kept)
+        usable = UsableCharge(problem.cost, pack, charge, kept)
     elif energy is not None:
         if kept == 1.0:
             raise InvalidInputError(f"--reserve {reserve} leaves nothing of the energy; keep less")

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from energyplan.battery import SAGS
+from energyplan.battery import SAGS, BatteryRun
 from energyplan.mission._order_kernel import GRAM
 from energyplan.mission.energy import Consumption, Estimate
 from energyplan.mission.routes import Leg, Legs
@@ -45,6 +45,7 @@ class Segment:
     soc: FloatArray  # (n,): state of charge, as expected
     soc_lower: FloatArray  # (n,): the same at the bound
     leg: Leg | None = None  # the drive; of work along a path, too
+    peak_current: float = 0.0  # largest current that the battery delivers, as expected [A]
 
     @property
     def departure(self) -> float:
@@ -55,6 +56,11 @@ class Segment:
     def arrival(self) -> float:
         """Time of its end [s]."""
         return float(self.t[-1])
+
+    @property
+    def peak_power(self) -> float:
+        """Largest power that the battery delivers, as expected [W]."""
+        return float(max(self.power.max(), 0.0))
 
     @property
     def trajectory(self) -> Trajectory:
@@ -162,12 +168,13 @@ class Simulation:
         samples: FloatArray,
         leg: Leg | None = None,
         start: int = -1,
+        peak_current: float = 0.0,
     ) -> Status:
         """Add a segment that ends at a state's place: rows of time, power, charge and its bound."""
         here, names = state.node, self.legs.names
         begin, pose = names[here if leg is None else start], self.legs.exits[here]
         t, power, soc, soc_lower = samples
-        one = Segment(kind, begin, names[here], pose, t, power, soc, soc_lower, leg)
+        one = Segment(kind, begin, names[here], pose, t, power, soc, soc_lower, leg, peak_current)
         return replace(state, trip=(*state.trip, one))
 
     def at_least(self, soc: float) -> float:
@@ -194,8 +201,8 @@ class Simulation:
             return replace(state, node=goal)
         late = state.lateness + self.legs.models.driving_time(leg.duration)
         load, moved = leg.consumption, replace(state, node=goal, lateness=late)
-        samples, after = self._draw(moved, leg.trajectory.t, load)
-        return self._add(after, "drive", samples, leg, state.node)
+        samples, after, peak = self._draw(moved, leg.trajectory.t, load)
+        return self._add(after, "drive", samples, leg, state.node, peak)
 
     @cached_property
     def stations(self) -> tuple[int, ...]:
@@ -222,19 +229,23 @@ class Simulation:
             0.0, duration, int(min(max(duration / STEPPING.step, 1), STEPPING.most_steps)) + 1
         )
         flat = np.full(len(t) - 1, energy.mean / duration)
-        samples, after = self._draw(state, t, Consumption(flat, np.ones(len(flat)), energy))
-        return self._add(after, kind, samples)
+        load = Consumption(flat, np.ones(len(flat)), energy)
+        samples, after, peak = self._draw(state, t, load)
+        return self._add(after, kind, samples, peak_current=peak)
 
-    def _draw(self, state: Status, t: FloatArray, load: Consumption) -> tuple[FloatArray, Status]:
-        """Draw a load from the battery, as expected and at the bound."""
+    def _draw(
+        self, state: Status, t: FloatArray, load: Consumption
+    ) -> tuple[FloatArray, Status, float]:
+        """Draw a load from the battery, as expected and at the bound; the peak of its current."""
         spent = state.spent + self.legs.from_battery(load.energy)
         more = spent.upper(self.quantile) - state.spent.upper(self.quantile)
         # what it may take beyond the expectation is drawn where the power is uncertain
         shares = load.spread if load.spread.any() else np.ones(len(load.spread))
         raised = load.power + (more - load.energy.mean) * shares / float(shares @ np.diff(t))
         clock = state.time + t - t[0]
-        expected, soc, braked = self._run(state.expected, clock, load.power)
-        worst, soc_lower, _ = self._run(state.worst, clock, raised)
+        expected, run = self._run(state.expected, clock, load.power)
+        worst, lower = self._run(state.worst, clock, raised)
+        braked = run.braked
         # what the battery did not take back is not in the energy
         total = state.total + load.energy
         total = replace(total, mean=total.mean + float(braked[-1]))
@@ -244,12 +255,11 @@ class Simulation:
         )  # fmt: skip
         power = load.power + np.diff(braked) / np.diff(t)
         power = np.append(power, power[-1])
-        return np.array([clock, power, soc, soc_lower]), after
+        peak = float(max(run.current.max(), 0.0))
+        return np.array([clock, power, run.soc, lower.soc]), after, peak
 
-    def _run(
-        self, charge: Charge, t: FloatArray, power: FloatArray
-    ) -> tuple[Charge, FloatArray, FloatArray]:
-        """Return the battery after a load, its charge, and the energy that it did not take back."""
+    def _run(self, charge: Charge, t: FloatArray, power: FloatArray) -> tuple[Charge, BatteryRun]:
+        """Return the battery after a load, and its run."""
         run = self.mission.battery.simulate(
             t, np.append(power, 0.0), soc=charge.soc, polarisation=charge.polarisation
         )
@@ -257,7 +267,7 @@ class Simulation:
         if charge.failure == "none" and run.reason != "none":
             load = power[min(int(np.searchsorted(t, run.brown_out, "right")), len(power)) - 1]
             after = after._replace(failure=run.reason, instant=run.brown_out, load=float(load))
-        return after, run.soc, run.braked
+        return after, run
 
     def charge(
         self,
@@ -326,8 +336,8 @@ class Simulation:
         elif row.trajectory is None:
             return Attempt(row.trouble, begun, begun, row.detail)
         else:
-            samples, done = self._draw(begun, row.trajectory.t, row.consumption)
-            done = self._add(done, "work", samples, row, node)
+            samples, done, peak = self._draw(begun, row.trajectory.t, row.consumption)
+            done = self._add(done, "work", samples, row, node, peak)
         done = replace(done, lateness=done.lateness + self.legs.lasting(node, begun.payload)[1])
         carried = done.payload + job.change
         if carried < -GRAM:

@@ -54,7 +54,7 @@ SHOWN = {
     "effort_limit cost soft_cost breakdown notes goal_reached",
     "Residual": "rmse mae bias energy_error",
     "Round": "energy_predicted energy_interval energy_measured error overhead effects length note",
-    "Segment": "start goal departure energy",
+    "Segment": "start goal departure energy peak_power peak_current",
     "TaskReport": "name verdict reason reachable_alone energy energy_upper soc_after shortfall "
     "detail remedy remedies arrival departure soc_lower start start_upper",
     "TreadICR": "left right longitudinal",

@@ -67,7 +67,7 @@ from energyplan.planning import plan
 from energyplan.planning import planners as known_planners
 from energyplan.power import PowerModel
 from energyplan.power.presets import MODEL_PRESETS
-from energyplan.reach import energy_map, energy_of_charge
+from energyplan.reach import UsableCharge, energy_map
 from energyplan.records import unusual
 from energyplan.serve import answers, requests
 from energyplan.serve.requests import MOST_EFFORT, MOST_TASKS, Access, Guard, complaint, problem
@@ -347,11 +347,12 @@ def _routes(service: _Service) -> APIRouter:
         if (given.energy is None) == (given.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
         problem, notes = question(given, given.pack is not None, given.start)
+        usable: float | UsableCharge
         if given.energy is not None:
             usable = (1.0 - given.reserve) * given.energy
         else:
             pack = store.named(given.pack, read_battery)
-            usable = energy_of_charge(problem.cost, pack, given.soc, given.reserve)
+            usable = UsableCharge(problem.cost, pack, given.soc, given.reserve)
             notes += pack.notes
         job.say("searching")
         found = energy_map(

@@ -147,6 +147,18 @@ def test_usable_energy_is_what_a_discharge_delivers(power):
         assert pack.usable_energy(power, soc) == pytest.approx(power * run.brown_out, rel=3e-3)
 
 
+@pytest.mark.parametrize("words", ["24 V 20 Ah lead-acid", "7S6P 2.5 Ah li-ion, 0 degC"])
+def test_the_charge_that_is_kept_ends_a_discharge(words):
+    """Also of a small part of the charge, against a run in small steps from a state of rest."""
+    pack = replace(Battery.of(words), pair_resistance=0.0)
+    t = np.arange(0.0, 200.0, 0.01)
+    run = pack.simulate(t, np.full(len(t), 216.0), soc=0.507)
+    reached = float(np.interp(-0.5, -run.soc, t))
+    delivered = float(pack.usable_energy(216.0, 0.507, kept=0.5))
+    assert delivered == pytest.approx(216.0 * reached, rel=1e-4)
+    assert float(pack.usable_energy(216.0, 0.5, kept=0.6)) == 0.0
+
+
 def test_usable_energy_falls_with_power_cold_and_age():
     pack = Battery.preset("quadriga")
     energy = pack.usable_energy([50.0, 200.0, 800.0])

@@ -20,7 +20,7 @@ from energyplan.io.maps import write_map
 from energyplan.io.mission import read_battery, read_mission
 from energyplan.io.sites import SiteFile, load_site, models_of, problem_from, with_presets
 from energyplan.output import documents
-from energyplan.reach import energy_of_charge
+from energyplan.reach import UsableCharge
 
 pytest.importorskip("fastapi", reason="the service needs the extra serve")
 from fastapi.testclient import TestClient
@@ -148,10 +148,10 @@ def plan(asked: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
 def reach(asked: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     problem, notes = problem_of(asked, battery="battery" in asked)
     reserve = asked.get("reserve", 0.0)
-    usable = (1.0 - reserve) * asked.get("energy", 0.0)
+    usable: float | UsableCharge = (1.0 - reserve) * asked.get("energy", 0.0)
     if "battery" in asked:
         battery = read_battery(asked["battery"])
-        usable = energy_of_charge(problem.cost, battery, asked.get("soc", 1.0), reserve)
+        usable = UsableCharge(problem.cost, battery, asked.get("soc", 1.0), reserve)
         notes += battery.notes
     found = ep.energy_map(problem, energy=usable)
     document = documents.energy_map(found, found.areas(usable))

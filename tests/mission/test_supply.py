@@ -14,6 +14,7 @@ from energyplan.battery import Battery
 from energyplan.errors import MissionError
 from energyplan.html import number
 from energyplan.mission import Charger, Mission, evaluate
+from energyplan.output import documents
 from energyplan.path import Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import with_weight
@@ -190,3 +191,17 @@ def test_a_robot_leaves_a_charger_when_it_has_enough() -> None:
         for until in (level, round(level - 0.01, 2))
     ]
     assert [one.feasible for one in again] == [True, False]
+
+
+def test_each_drive_has_the_peak_of_its_power_and_current() -> None:
+    """By hand: straight at a constant power, where the current rises as the pack is emptied."""
+    pack = replace(PACK, resistance=0.05, pair_resistance=0.0)
+    asked = corridor(1.0, (at("A", 20),), 3.0, battery=pack, soc=0.6)
+    report = evaluate(asked)
+    out, home = documents.mission(report)["legs"]
+    for leg, drive in zip((out, home), report.legs, strict=True):
+        power, emf = drive.leg.consumption.power, pack.ocv(drive.soc[:-1])
+        by_hand = (emf - np.sqrt(emf**2 - 4 * 0.05 * power)) / (2 * 0.05)
+        assert leg["peak_power"] == pytest.approx(float(power.max()), rel=1e-12)
+        assert leg["peak_current"] == pytest.approx(float(by_hand.max()), rel=1e-9)
+    assert home["peak_current"] > out["peak_current"] > out["peak_power"] / float(pack.ocv(0.6))

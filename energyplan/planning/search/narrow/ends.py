@@ -44,11 +44,26 @@ class Escape(NamedTuple):
     """What the search found, as a tree of poses."""
 
     poses: FloatTable  # (n, 3)
+    g: Floats  # length from the end, plus half the slip track for each radian [m]; or the cost
     parent: ShortInts  # node it was reached from, -1 at the end itself
     ds: Floats  # motion between the two, as it will be driven
     dtheta: Floats
+    key: Ints  # one number for poses that count as one
+    table: ShortInts  # hash table from key to node, -1 where empty
+    heap_f: Floats  # keys of the binary heap of nodes to go on from
+    heap_node: ShortInts  # the nodes of that heap
     open: ShortInts  # nodes with room, in the order in which they were found
-    tests: int  # motions that were tested
+    counts: Ints  # (4,): motions tested, nodes, entries of the heap, nodes with room
+
+
+class Wanted(NamedTuple):
+    """Where a way out leads."""
+
+    grown: Body  # the body that has to fit there
+    far: Pose  # the other end of the path
+    inwards: bool  # whether the way leads into the goal
+    turn: float  # turn on the spot, both ways together, that has to fit there [rad]
+    clearing: float  # longer way that gaining the whole clearance makes up for [reaches]
 
 
 @inner
@@ -143,100 +158,109 @@ def _key(pose: Pose, room: float, reach: float) -> int:
     return (((row << 20) | column) << 23 | heading << 5 | (-octave & 31)) & 0x7FFFFFFFFFFFFFFF
 
 
+@inner
+def _new_tree() -> Escape:
+    """Return a tree without nodes."""
+    nodes = ESCAPE.nodes
+    return Escape(
+        np.empty((nodes, 3)), np.empty(nodes), np.empty(nodes, np.int32), np.empty(nodes),
+        np.empty(nodes), np.empty(nodes, np.int64), np.full(4 * nodes, -1, np.int32),
+        np.empty(nodes), np.empty(nodes, np.int32), np.empty(nodes, np.int32),
+        np.zeros(4, np.int64),
+    )  # fmt: skip
+
+
+@inner
+def _enter(
+    tree: Escape, setting: KernelProblem, wanted: Wanted, node: int, ds: float, dtheta: float
+) -> None:
+    """Enter the pose that a free motion leads to from a node, unless one like it is known."""
+    counts = tree.counts
+    pose = pose_at(tree.poses, node)
+    there = arc_end(pose, -ds, -dtheta) if wanted.inwards else arc_end(pose, ds, dtheta)
+    turns = wanted.turn > 0.0
+    room = _spin_room(setting.space, setting.body, there, counts) if turns else ESCAPE.turn
+    here = _key(there, room, setting.reach)
+    slot = slot_of(tree.table, tree.key, here)
+    if tree.table[slot] >= 0:
+        return
+    new = counts[1]
+    counts[1] += 1
+    tree.table[slot] = new
+    put_pose(tree.poses, new, there)
+    tree.parent[new] = node
+    tree.ds[new] = ds
+    tree.dtheta[new] = dtheta
+    tree.key[new] = here
+    if turns:
+        half = max(setting.half_track, setting.widest)
+        tree.g[new] = tree.g[node] + abs(ds) + half * abs(dtheta)
+        f = tree.g[new] / (ESCAPE.doubling * setting.reach) - _octaves(room)
+        if room >= wanted.turn and _fits(setting.space, wanted.grown, there):
+            tree.open[counts[3]] = new
+            counts[3] += 1
+            return
+    else:
+        begin = there if wanted.inwards else pose
+        first = wanted.far if wanted.inwards else there
+        last = there if wanted.inwards else wanted.far
+        tree.g[new] = tree.g[node] + motion_cost(setting, begin, ds, dtheta)
+        cost = tree.g[new] + steering_cost(setting, first, last)
+        f = cost / (setting.least_metre * setting.reach)
+        f -= wanted.clearing * _kept(setting.space, setting.body, wanted.grown, there)
+    counts[2] = push(tree.heap_f, tree.heap_node, counts[2], f, new)
+
+
 @njit
-def escape(
-    setting: KernelProblem, grown: Body, end: Pose, far: Pose, inwards: bool, needed: float,
-    clearing: float, tests: int,
-) -> Escape:  # fmt: skip
+def escape(setting: KernelProblem, end: Pose, wanted: Wanted, tests: int) -> Escape:
     """Search until enough poses with room are known, or so many motions were tested.
 
-    Where a turn is needed, short paths and more room to turn come first; where it is clearance
-    alone, paths that cost little on the whole, to the other end, and more clearance: the whole of
-    it makes up for a way that is so many reaches of the body longer.
+    Where a turn has to fit, short paths and more room to turn come first; where it is clearance
+    alone, paths that cost little on the whole, to the other end, and more clearance.
     """
     space, body = setting.space, setting.body
-    reach = setting.reach
     half = max(setting.half_track, setting.widest)
-    nodes = ESCAPE.nodes
-    poses = np.empty((nodes, 3))
-    g = np.empty(nodes)  # length from the end, plus half the slip track for each radian; or cost
-    parent = np.empty(nodes, np.int32)
-    motion_ds = np.empty(nodes)
-    motion_turn = np.empty(nodes)
-    key = np.empty(nodes, np.int64)
-    table = np.full(4 * nodes, -1, np.int32)
-    heap_f = np.empty(nodes)
-    heap_node = np.empty(nodes, np.int32)
-    with_room = np.empty(nodes, np.int32)
-    tested = np.zeros(1, np.int64)
-    found = 0
-    count = 1
-    room = ESCAPE.turn if needed == 0.0 else _spin_room(space, body, end, tested)
-    put_pose(poses, 0, end)
-    g[0] = 0.0
-    parent[0] = -1
-    key[0] = _key(end, room, reach)
-    table[slot_of(table, key, key[0])] = 0
-    size = push(heap_f, heap_node, 0, -_octaves(room), 0)
-    while size > 0 and tested[0] < tests and found < ESCAPE.ways:
-        if count + KINDS * len(ESCAPE.parts) > nodes:
+    tree = _new_tree()
+    counts = tree.counts
+    room = _spin_room(space, body, end, counts) if wanted.turn > 0.0 else ESCAPE.turn
+    put_pose(tree.poses, 0, end)
+    tree.g[0] = 0.0
+    tree.parent[0] = -1
+    tree.key[0] = _key(end, room, setting.reach)
+    tree.table[slot_of(tree.table, tree.key, tree.key[0])] = 0
+    counts[1] = 1
+    counts[2] = push(tree.heap_f, tree.heap_node, 0, -_octaves(room), 0)
+    while counts[2] > 0 and counts[0] < tests and counts[3] < ESCAPE.ways:
+        if counts[1] + KINDS * len(ESCAPE.parts) > ESCAPE.nodes:
             break
-        node = int(heap_node[0])
-        size = pop(heap_f, heap_node, size)
-        pose = pose_at(poses, node)
-        if needed == 0.0 and pose_free(space, grown, pose.x, pose.y, pose.yaw):
-            with_room[found] = node
-            found += 1
+        node = int(tree.heap_node[0])
+        counts[2] = pop(tree.heap_f, tree.heap_node, counts[2])
+        pose = pose_at(tree.poses, node)
+        if wanted.turn == 0.0 and _fits(space, wanted.grown, pose):
+            tree.open[counts[3]] = node
+            counts[3] += 1
             continue
         for kind in range(KINDS):
-            most_ds, most_turn = _longest(kind, reach, half)
-            if most_ds < 0.0 and setting.gear != 0:
+            ds, dtheta = _longest(kind, setting.reach, half)
+            if ds < 0.0 and setting.gear != 0:
                 continue
-            if most_ds == 0.0 and setting.widest > 0.0:
+            if ds == 0.0 and setting.widest > 0.0:
                 continue
-            free = _free_part(space, body, pose, most_ds, most_turn, inwards, ESCAPE.closer, tested)
+            free = _free_part(space, body, pose, ds, dtheta, wanted.inwards, ESCAPE.closer, counts)
             if free == 0.0:
                 continue
-            for share in ESCAPE.parts:
-                ds = free * share * most_ds
-                dtheta = free * share * most_turn
-                there = arc_end(pose, -ds, -dtheta) if inwards else arc_end(pose, ds, dtheta)
+            for part in ESCAPE.parts:
                 # a part of a free motion is free, up to the subdivision of its test
-                if not _free(space, body, pose, ds, dtheta, inwards, tested):
-                    continue
-                if needed > 0.0:
-                    room = _spin_room(space, body, there, tested)
-                here = _key(there, room, reach)
-                slot = slot_of(table, key, here)
-                if table[slot] >= 0:
-                    continue
-                table[slot] = count
-                put_pose(poses, count, there)
-                parent[count] = node
-                motion_ds[count] = ds
-                motion_turn[count] = dtheta
-                key[count] = here
-                if needed > 0.0:
-                    g[count] = g[node] + abs(ds) + half * abs(dtheta)
-                    f = g[count] / (ESCAPE.doubling * reach) - _octaves(room)
-                else:
-                    begin = there if inwards else pose
-                    g[count] = g[node] + motion_cost(setting, begin, ds, dtheta)
-                    rest = (
-                        steering_cost(setting, far, there)
-                        if inwards
-                        else steering_cost(setting, there, far)
-                    )
-                    f = (g[count] + rest) / (setting.least_metre * reach)
-                    f -= clearing * _kept(space, body, grown, there)
-                at_once = needed > 0.0 and room >= needed
-                if at_once and pose_free(space, grown, there.x, there.y, there.yaw):
-                    with_room[found] = count
-                    found += 1
-                else:
-                    size = push(heap_f, heap_node, size, f, count)
-                count += 1
-    return Escape(poses, parent, motion_ds, motion_turn, with_room[:found].copy(), tested[0])
+                one, other = free * part * ds, free * part * dtheta
+                if _free(space, body, pose, one, other, wanted.inwards, counts):
+                    _enter(tree, setting, wanted, node, one, other)
+    return tree
+
+
+@inner
+def _fits(space: Space, body: Body, pose: Pose) -> bool:
+    """Return whether a body is free at a pose."""
+    return bool(pose_free(space, body, pose.x, pose.y, pose.yaw))
 
 
 @inner
@@ -355,11 +379,10 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
     several = ESCAPE.clearing if turn == 0.0 else ESCAPE.clearing[:1]
     tests = int(budget.left / UNITS.motion / len(several)) + 1
     for clearing in several:
-        tree = escape(
-            setting._replace(body=query.body), query.grown, pose, far, goal, turn, clearing, tests
-        )
-        budget.spend(UNITS.motion * tree.tests)
-        for node in tree.open.tolist():
+        wanted = Wanted(query.grown, far, goal, turn, clearing)
+        tree = escape(setting._replace(body=query.body), pose, wanted, tests)
+        budget.spend(UNITS.motion * int(tree.counts[0]))
+        for node in tree.open[: tree.counts[3]].tolist():
             room, chain = Pose(*tree.poses[node].tolist()), _chain(tree, node)
             motions = chain if goal else chain[::-1]
             here, ends = (room, (far, room)) if goal else (pose, (room, far))
