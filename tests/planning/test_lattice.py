@@ -78,7 +78,7 @@ def test_refinement_only_ever_improves(seed):
     refiner.shortcut(Budget())
     costs.append(refiner.cost)
     for _ in range(3):
-        refiner.polish(Budget(), patience=800)
+        refiner.polish(Budget(), most=800)
         costs.append(refiner.cost)
         refiner.again(Budget())
         costs.append(refiner.cost)

@@ -131,8 +131,6 @@ class _Stages:
             size = STAGES.first
             while True:
                 self._search(size)
-                self._turns()
-                self._shorten(size)
                 self._weigh()
                 gains = self._improve(size)
                 size *= 2.0
@@ -184,7 +182,6 @@ class _Stages:
         for path in self.known:
             self.shortest.weigh(path, self.budget)
             answer.weigh(path, self.budget)
-        self._shorten_by(REFINING.opening)
         own = Budget(effort=round(STAGES.least_bound))
         do_together(own, paths.bounding.work(paths.cost, STAGES.least_bound))
         self.budget.spend(own.spent)
@@ -214,6 +211,7 @@ class _Stages:
         if self.closed:
             self.open.clear()
         if not self.open:
+            self._shorten(size)
             return
         paths, setting = self.paths, self.paths.setting
         works = {
@@ -233,12 +231,18 @@ class _Stages:
             works["turning"] = works["routes"]._replace(
                 run=partial(cheapest_routes, expensive, paths.to_go)
             )
-        chosen = [self._whole(name, works[name]) for name in works if name in self.open]
-        self._do([*chosen, *paths.bounding.work(paths.cost, STAGES.bound * size)])
+        for name, work in works.items():
+            if name in self.open:
+                self._do([self._whole(name, work)])
+                self._turns()
+            if name == "routes":
+                self._shorten(size)
+        self._do(paths.bounding.work(paths.cost, STAGES.bound * size))
         if "passages" in self.open and not paths.through_passages:
             units = STAGES.passages * size
             several = passage_work(setting, paths.to_go, units, paths.enter_between)
             self._do([self._whole("passages", work) for work in several])
+            self._turns()
 
     def _whole(self, name: str, work: Work) -> Work:
         """Return some work that is not done again once it did not need all of its units."""
