@@ -27,7 +27,7 @@ OWNERS: dict[str, list[Any]] = {
 def number_rows() -> list[list[str]]:
     """Return file, key, possible range and usual range of each number of a file."""
     return [
-        [file, name, one.range(one.possible), one.range(one.usual)]
+        [file, name, one.range(one.possible), one.range(one.typical)]
         for file, owners in OWNERS.items()
         for owner in owners
         for name, one in bounds(owner).items()

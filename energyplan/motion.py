@@ -238,8 +238,8 @@ def travelled(
 
     The origin lies `ahead` behind the point that never moves sideways [m].
     """
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * step * (omega[0] + omega[1]))])
-    yaw, u = start.yaw + turned, _NODES[:, None]
+    rotation = np.concatenate([[0.0], np.cumsum(0.5 * step * (omega[0] + omega[1]))])
+    yaw, u = start.yaw + rotation, _NODES[:, None]
     theta = yaw[:-1] + step * (u * omega[0] + 0.5 * u**2 * (omega[1] - omega[0]))
     along = v[0] + u * (v[1] - v[0])
     aside = ahead * (omega[0] + u * (omega[1] - omega[0]))

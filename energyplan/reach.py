@@ -489,8 +489,8 @@ def _search(
 def _reversed(setting: KernelProblem) -> KernelProblem:
     """Return a problem in which each motion costs what it does driven the other way."""
     half = DIRECTIONS // 2
-    turned = np.concatenate([setting.prices[:, half:-1], setting.prices[:, : half + 1]], axis=1)
-    return setting._replace(prices=np.ascontiguousarray(turned), gear=-setting.gear)
+    mirrored = np.concatenate([setting.prices[:, half:-1], setting.prices[:, : half + 1]], axis=1)
+    return setting._replace(prices=np.ascontiguousarray(mirrored), gear=-setting.gear)
 
 
 def _table(

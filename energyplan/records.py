@@ -138,7 +138,7 @@ class Within:
     """What a number may be, and what it usually is, beyond which it is refused, or doubted."""
 
     possible: tuple[float, float]  # least and greatest number that is not refused
-    usual: tuple[float, float]  # least and greatest number without a warning
+    typical: tuple[float, float]  # least and greatest number without a warning
     unit: str = ""
     slip: str = ""  # which mistake a number that is too large shows
     endless: bool = False  # whether an infinite number stands for no limit
@@ -161,7 +161,7 @@ class Within:
 
     def unusual(self, value: ArrayLike) -> tuple[tuple[int, ...], str]:
         """Return where an unusual number stands and why it is one; no text if there is none."""
-        at, wanted = self._beyond(self.usual, value)
+        at, wanted = self._beyond(self.typical, value)
         if not wanted:
             return at, ""
         shown = f"{np.asarray(value)[at]:.6g}"

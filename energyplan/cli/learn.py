@@ -342,8 +342,8 @@ def _icr_of_spin(drive: DriveLog, angle: str | None, angle_error: str) -> ICREst
     """Return the tread ICRs from one spin; warn of an angle that the log contradicts."""
     from energyplan.fit import icr_from_spin
 
-    turned = None if angle is None else number("--angle", "angle", angle)
-    found = icr_from_spin(drive, turned, number("--angle-error", "angle", angle_error))
+    rotation = None if angle is None else number("--angle", "angle", angle)
+    found = icr_from_spin(drive, rotation, number("--angle-error", "angle", angle_error))
     with suppress(NotIdentifiableError):  # the log need not show the angle
         shown = icr_from_spin(drive).turning
         if abs(shown - found.turning) > 0.1 * found.turning:

@@ -429,14 +429,14 @@ def _motions(problem: Problem, paper: FloatArray) -> NDArray[np.intp]:
 def _grouped(points: FloatArray) -> NDArray[np.intp]:
     count = int(np.clip(len(points) // _MEMBERS, 2, _MOTIONS))
 
-    def apart(centre: FloatArray) -> FloatArray:
+    def distance(centre: FloatArray) -> FloatArray:
         return np.asarray(np.sum((points - centre) ** 2, axis=1))
 
-    centres = [points[np.argmin(apart(points.mean(axis=0)))]]
-    gap = apart(centres[0])
+    centres = [points[np.argmin(distance(points.mean(axis=0)))]]
+    gap = distance(centres[0])
     while len(centres) < count and gap.max() > 0.0:
         centres.append(points[np.argmax(gap)])
-        gap = np.minimum(gap, apart(centres[-1]))
+        gap = np.minimum(gap, distance(centres[-1]))
     if len(centres) == 1:  # alike throughout: the first half and the last
         return np.asarray(np.arange(len(points)) * 2 // len(points))
     with warnings.catch_warnings():  # a group without members keeps its centre

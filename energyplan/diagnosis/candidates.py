@@ -184,9 +184,9 @@ class ContactTraces:
             if "yaw" in motion.channels:
                 ahead, aside = (part(motion.channels["yaw"]) for part in (np.cos, np.sin))
                 x, y = self.vehicle.contacts.T
-                turned = [np.outer(ahead, x) - np.outer(aside, y)]
-                turned += [np.outer(aside, x) + np.outer(ahead, y)]
-                at = at + np.stack(turned, axis=-1)
+                rotated = [np.outer(ahead, x) - np.outer(aside, y)]
+                rotated += [np.outer(aside, x) + np.outer(ahead, y)]
+                at = at + np.stack(rotated, axis=-1)
             moves = (motion.v_left != 0.0) | (motion.v_right != 0.0)
             found.append(np.where(moves[:, None, None], at, np.nan))
         return tuple(found)

@@ -432,8 +432,8 @@ def usual_effects(entries: Iterable[Effect] | None = None) -> list[Effect]:
 
 def differ(one: float, other: float, error: float, others: float) -> bool:
     """Return whether two estimates of a coefficient differ by more than errors, and matter."""
-    apart = abs(other - one)
-    return bool(apart > _MOVED * abs(one) and apart > _STEADY * np.hypot(error, others))
+    difference = abs(other - one)
+    return bool(difference > _MOVED * abs(one) and difference > _STEADY * np.hypot(error, others))
 
 
 @dataclass(frozen=True)

@@ -147,8 +147,8 @@ def _quiet_run(
     moving = np.maximum(np.abs(left), np.abs(right))
     # Of a robot that stands for longer than it drives, most readings are noise.
     clear = moving > level if np.any(moving > level) else moving > 0.0
-    usual = float(np.median(moving[clear])) if np.any(clear) else 0.0
-    most = _DRIVING * usual
+    typical = float(np.median(moving[clear])) if np.any(clear) else 0.0
+    most = _DRIVING * typical
     if noise > _NOISELESS and 5 <= width <= len(t):
         left, right = (savgol_filter(v, width, 2) for v in (left, right))
         level *= 1.5 / np.sqrt(width)  # a parabola leaves 9 / 4n of the variance at its middle

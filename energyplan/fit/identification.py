@@ -298,8 +298,8 @@ def cross_validation(model: PowerModel, drives: Sequence[Drive]) -> CrossValidat
         return None
     powers = without_each(parts, model)
     missed = energy - [float(w @ power) for w, power in zip(weights, powers, strict=True)]
-    usual = energy.sum() / seconds.sum() * seconds
-    errors = np.abs(missed) / np.maximum(np.abs(energy), _LEAST * usual)
+    typical = energy.sum() / seconds.sum() * seconds
+    errors = np.abs(missed) / np.maximum(np.abs(energy), _LEAST * typical)
     what: Literal["drive", "stretch"] = "drive" if len(drives) >= _FEWEST else "stretch"
     return CrossValidation(
         what, len(parts), float(np.median(seconds)), float(errors.mean()), float(errors.max())

@@ -60,27 +60,27 @@ def linearise_drive(
     power = _power(drive, vehicle, terms, values, losses, total)
 
     rise = _rise(losses, drive, vehicle, total) if losses else None
-    columns, held_apart, limits = [], [], []
+    columns, held_differences, limits = [], [], []
     for k in range(len(terms)) if wanted is None else wanted:
         term = terms[k]
         if term.kind == "loss":
             own = of_equations(term.function(held, vehicle, total, **term.params), drive)
         else:
             own = columns_of(term, drive, vehicle)
-        apart = own[:, -1]  # what it makes the sides differ by where contacts hold
+        difference = own[:, -1]  # what it makes the sides differ by where contacts hold
         if term.kind == "force" and rise is not None:
             acting = field_of(term, drive, vehicle, held=True)
             lost = rise.left * acting.left[:, None] + rise.right * acting.right[:, None]
             own = own + lost
             if fight is not None:
-                apart = acting.right * held.v_right - acting.left * held.v_left + lost[:, -1]
+                difference = acting.right * held.v_right - acting.left * held.v_left + lost[:, -1]
         columns.append(own)
-        held_apart.append(apart)
+        held_differences.append(difference)
         limits.append(vehicle.slip_moment if term.name == SLIP.name else 0.0)
     table = np.stack(columns, axis=-1) if columns else np.zeros((*power.shape, 0))
     if fight is not None and columns:
-        apart = np.stack(held_apart, axis=-1)
-        table[:, 0] -= fight.followed(apart, np.array(limits))
+        difference = np.stack(held_differences, axis=-1)
+        table[:, 0] -= fight.followed(difference, np.array(limits))
     return Linear(drive.observed(power), drive.observed(table))
 
 

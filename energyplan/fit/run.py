@@ -51,12 +51,12 @@ class RunEffect:
     error: float = 0.0  # relative error of the energy of drives that were held out
 
     @classmethod
-    def known(cls, residual: Residual | None, usual: float = USUAL_RUN_SPREAD) -> RunEffect:
+    def known(cls, residual: Residual | None, typical: float = USUAL_RUN_SPREAD) -> RunEffect:
         """Return what a model's residual says of a run to come; `usual` where it does not."""
         if residual is None:
-            return cls(deviation=usual)
+            return cls(deviation=typical)
         density = 2.0 * residual.rmse**2 * residual.correlation_time
-        spread = usual if residual.run_spread is None else residual.run_spread
+        spread = typical if residual.run_spread is None else residual.run_spread
         return cls(deviation=spread, density=density, error=abs(residual.energy_error))
 
     @classmethod

@@ -200,17 +200,17 @@ _LARGEST_PARTIAL = 0.9995
 _NEGLIGIBLE = 1e-3  # autocorrelation at which its tail is cut
 
 
-def _padded(piece: slice, lags: int) -> int:
+def _padded(block: slice, lags: int) -> int:
     """Return the padded length of a slice, so that products at these lags do not wrap around."""
-    return next_fast_len(piece.stop - piece.start + lags, real=True)
+    return next_fast_len(block.stop - block.start + lags, real=True)
 
 
 def _products(a: FloatArray, b: FloatArray, pieces: Sequence[slice], lags: int) -> FloatArray:
     """Sum ``a[t] b[t + k]`` within the pieces, for k from 0 to `lags`."""
     total = np.zeros(lags + 1)
-    for piece in pieces:
-        size = _padded(piece, lags)
-        product = irfft(rfft(a[piece], size).conj() * rfft(b[piece], size), size)
+    for block in pieces:
+        size = _padded(block, lags)
+        product = irfft(rfft(a[block], size).conj() * rfft(b[block], size), size)
         total += product[: lags + 1]
     return total
 
@@ -275,12 +275,12 @@ def jackknife(moved: FloatArray) -> FloatArray:
     """
     # Source: Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 11.
     count = len(moved)
-    apart = moved - moved.mean(axis=0)
-    square = np.sum(apart**2, axis=0)
-    freedom = 3.0 * square**2 / np.maximum(np.sum(apart**4, axis=0), 1e-300)
+    deviation = moved - moved.mean(axis=0)
+    square = np.sum(deviation**2, axis=0)
+    freedom = 3.0 * square**2 / np.maximum(np.sum(deviation**4, axis=0), 1e-300)
     freedom = np.clip(freedom, min(3.0, count), count) - 1.0
     stretch = student.ppf(0.975, freedom) / norm.ppf(0.975)
-    return np.asarray((count - 1) / count * apart.T @ apart * np.outer(stretch, stretch))
+    return np.asarray((count - 1) / count * deviation.T @ deviation * np.outer(stretch, stretch))
 
 
 _SEGMENT = 4.0  # length of the segments whose spectra are compared [s]

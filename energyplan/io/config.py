@@ -209,8 +209,8 @@ def _unusual_terms(model: PowerModel) -> Doubts:
             low, high = effect.limits(model.vehicle)
             believed[effect.terms[0].name] = min(low, 0.0), high
     for k, (one, value) in enumerate(zip(model.terms, model.coefficients, strict=True)):
-        usual = believed.get(one.name, (-inf, inf))
-        _, text = Within((-inf, inf), usual, one.unit).unusual(value)
+        typical = believed.get(one.name, (-inf, inf))
+        _, text = Within((-inf, inf), typical, one.unit).unusual(value)
         if text:
             yield ("terms", k, "value"), text
 

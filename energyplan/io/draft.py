@@ -410,9 +410,9 @@ def _of_compass(
     series = {name: recording.series(columns[name], rows) for name in (*SPEEDS, "x", "y", "yaw")}
     period = 360.0 if size_of(recording, columns["yaw"]) > FULL_TURN else 2 * pi
     t, heading = usable(series["yaw"])
-    turned = Series(t, np.unwrap(heading, period=period) * (2 * pi / period))
+    unwrapped = Series(t, np.unwrap(heading, period=period) * (2 * pi / period))
     compass = counts_from_north(
-        Recorded(series["v_left"], series["v_right"], series["x"], series["y"], turned)
+        Recorded(series["v_left"], series["v_right"], series["x"], series["y"], unwrapped)
     )
     if compass is None:
         return [
@@ -617,8 +617,8 @@ def _product(recording: Recording, current: Column, volts: Column) -> Column:
         alone = len(set(own)) == 1
         return power.changed(**({"times": own[0]} if alone else {"each": own}))
     there = sorted({volts.field, *own, *siblings(volts, recording.columns)})
-    usual = [float(np.nanmedian(recording.column(name))) for name in there]
-    if max(usual) - min(usual) <= _ONE_VOLTAGE * max(map(abs, usual)):
+    typical = [float(np.nanmedian(recording.column(name))) for name in there]
+    if max(typical) - min(typical) <= _ONE_VOLTAGE * max(map(abs, typical)):
         return power.changed(times=volts.field)
     stated = "+".join(f"{name}*{there[0]}" for name in names)
     raise DriveLogError(

@@ -238,10 +238,10 @@ def _header_of_image(file: Path, resolution: float | None) -> _MapHeader:
         )
     if not (math.isfinite(resolution) and resolution > 0):
         raise MapError(f"the resolution of {file} is {resolution:g} m; give a positive size")
-    return _MapHeader(**_usual_header(file, resolution, (0.0, 0.0, 0.0)))
+    return _MapHeader(**_common_header(file, resolution, (0.0, 0.0, 0.0)))
 
 
-def _usual_header(image: Path, resolution: float, origin: Iterable[float]) -> dict[str, Any]:
+def _common_header(image: Path, resolution: float, origin: Iterable[float]) -> dict[str, Any]:
     """Return the YAML of an image whose dark pixels are obstacles."""
     return {
         "image": image.name,
@@ -260,7 +260,7 @@ def write_map_of_image(image: str | Path, resolution: float, path: str | Path) -
     if file.resolve().parent != picture.resolve().parent:
         raise MapError(f"{file}: write the YAML of {picture.name} in its folder, {picture.parent}")
     grid = read_map(picture, resolution=resolution)
-    _write_header(file, _usual_header(picture, resolution, grid.origin))
+    _write_header(file, _common_header(picture, resolution, grid.origin))
     return grid
 
 
@@ -484,6 +484,6 @@ def write_map(grid: OccupancyGrid, path: str | Path) -> None:
         pixels[grid.unknown & ~grid.occupied] = 205
     image = io.BytesIO()
     Image.fromarray(pixels[::-1]).save(image, format="PNG", optimize=True)
-    header = _usual_header(file.with_suffix(".png"), grid.resolution, grid.origin)
+    header = _common_header(file.with_suffix(".png"), grid.resolution, grid.origin)
     atomic_write(file.with_suffix(".png"), image.getvalue())
     _write_header(file, header)

@@ -194,11 +194,11 @@ def _as_ordered(mission: Mission, order: TaskOrder) -> Mission:
     """Return a mission with what an order says of it beside its tasks."""
     notes, limit = order.notes, order.speed
     if limit is not None:
-        usual = None if mission.robots else mission.tread_speed
-        if usual is not None and usual > limit:
+        typical = None if mission.robots else mission.tread_speed
+        if typical is not None and typical > limit:
             mission = replace(mission, speed=limit)
             notes += (f"the mission is driven at {limit:g} m/s, the least maxSpeed of its edges",)
-        elif usual is None:
+        elif typical is None:
             notes += (
                 f"the order limits the speed to {limit:g} m/s (maxSpeed of its edges), which is "
                 f"not used here: give speed: {limit:g}",

@@ -489,8 +489,8 @@ class _Watch:
         """Return whether the robot is near a pose, and faces as it does."""
         assert self._pose is not None
         away = hypot(pose[0] - self._pose.x, pose[1] - self._pose.y)
-        turned = abs(float(wrap_angle(pose[2] - self._pose.yaw)))
-        return away <= self._settings.near and turned <= _FACING
+        rotation = abs(float(wrap_angle(pose[2] - self._pose.yaw)))
+        return away <= self._settings.near and rotation <= _FACING
 
     def _drove(self, row: tuple[str, int]) -> bool:
         """Follow the robot along a path in one direction; return whether it is at its end."""

@@ -84,7 +84,7 @@ def refuse_one_side(logs: Sequence[DriveLog]) -> None:
 def _time(drive: Observed) -> _Found:
     """Time in another unit; rows in bursts; gaps."""
     drive = drive.rows
-    t, step = drive.t, drive.usual_step
+    t, step = drive.t, drive.typical_step
     if step > LONGEST_STEP and dated(t):
         yield Check(
             f"rows are {step:g} s apart, and what the robot does between them is not seen",
@@ -400,7 +400,7 @@ def _opposed(drive: Observed) -> _Found:
     effort, driving = drive.effort, float(drive.effort[drive.moving].sum())
     spun = float(effort[drive.moving & (drive.left * drive.right < 0.0)].sum()) / driving
     if {"x", "y"} <= set(drive.channels):  # a robot that turns on the spot stays there
-        edges = np.arange(drive.t[0], drive.t[-1], max(3.0, 5 * drive.usual_step))
+        edges = np.arange(drive.t[0], drive.t[-1], max(3.0, 5 * drive.typical_step))
         steps = 0.25 * np.diff(drive.t) * (effort[1:] + effort[:-1])
         gone = np.hypot(*(np.diff(np.interp(edges, drive.t, drive.channels[n])) for n in "xy"))
         if float(gone.sum()) < 0.5 * float(steps.sum()):
@@ -409,7 +409,7 @@ def _opposed(drive: Observed) -> _Found:
     if spun < _OPPOSED:
         fit = regress([effort, np.abs(drive.difference), np.ones(len(drive.t))], drive.power)
         # Neighbouring samples repeat each other for about a second.
-        chance = np.sqrt(max(1.0, 1.0 / drive.usual_step))
+        chance = np.sqrt(max(1.0, 1.0 / drive.typical_step))
         per, turning = fit.values[:2]
         if fit.condition > 1e6 or turning > -max(0.2 * abs(per), 5.0 * chance * fit.errors[1]):
             return
@@ -437,7 +437,7 @@ def _way(drive: Observed, mirrored: bool = False) -> _Way:
     place = drive.channels["x"] + 1j * drive.channels["y"]
     product, size = 0.0 + 0.0j, np.zeros(2)
     for run in drive.runs:
-        edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * drive.usual_step))
+        edges = np.arange(t[run][0], t[run][-1], max(1.0, 5 * drive.typical_step))
         # The heading amid two readings: in a step, a robot that turns goes along neither.
         amid, rolled = (0.5 * (part[run][1:] + part[run][:-1]) for part in (heading, speed))
         way = np.append(0.0, np.cumsum(rolled * np.exp(1j * amid) * np.diff(t[run])))
@@ -539,7 +539,7 @@ def _false_speeds(drive: Observed) -> _Found:
     """Speeds that are not those of two sides: one column twice, or without signs."""
     left, right, difference = drive.left, drive.right, drive.difference
     if np.array_equal(left, right):
-        second = max(int(1.0 / drive.usual_step), 1)
+        second = max(int(1.0 / drive.typical_step), 1)
         for name, rate in drive.rates.items():
             mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
             if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
@@ -654,7 +654,7 @@ def _lost_sign(drive: Observed) -> _Found:
     turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
     straight = np.abs(difference) < 0.01 * np.abs(drive.left + drive.right)
     # Samples of a slow log are far between, and few of them show as much.
-    enough = int(np.clip(_TOLD / drive.usual_step, _FEW, _ENOUGH))
+    enough = int(np.clip(_TOLD / drive.typical_step, _FEW, _ENOUGH))
     lost: list[str] = []
     returned = False
     for side, speed, outwards in (("p_left", drive.left, -1.0), ("p_right", drive.right, 1.0)):
@@ -758,13 +758,13 @@ def power_regressors(channels: Channels, runs: Sequence[slice]) -> list[FloatArr
     ]  # fmt: skip
 
 
-def _step(values: FloatArray, usual: float) -> float:
+def _step(values: FloatArray, typical: float) -> float:
     """Return the step in which readings come; 0 where it is below a tenth of `usual`."""
     found = np.unique(np.round(values, 9))
     if not 4 <= len(found) <= len(values) / 4:
         return 0.0
     step = float(np.append(np.abs(found[found != 0.0]), np.diff(found)).min())
-    coarse = step >= 0.1 * usual and np.all(np.abs(found / step - np.round(found / step)) <= 0.02)
+    coarse = step >= 0.1 * typical and np.all(np.abs(found / step - np.round(found / step)) <= 0.02)
     return step if coarse else 0.0
 
 
@@ -776,12 +776,12 @@ def _steps(drive: Observed) -> _Found:
     for name in drive.electric_names:
         read[name] = drive.channels[name][moving], "A" if name == "current" else "W"
     for name, (values, unit) in read.items():
-        usual = float(np.median(np.abs(values)))
-        if usual > 0.0 and (step := _step(values, usual)):
+        typical = float(np.median(np.abs(values)))
+        if typical > 0.0 and (step := _step(values, typical)):
             yield Check(
                 f"{name} {'come' if unit == 'm/s' else 'comes'} in steps of {step:.3g} {unit}, "
-                f"where {usual:.2g} {unit} is usual: power parameters may be wrong by "
-                f"{50 * step / usual:.0f} %, and more than their standard errors",
+                f"where {typical:.2g} {unit} is usual: power parameters may be wrong by "
+                f"{50 * step / typical:.0f} %, and more than their standard errors",
                 "log more digits",
             )
 
@@ -803,7 +803,7 @@ def _flipped(drive: Observed, side: str) -> bool:
     turn = drive.difference if right else -drive.difference
     outer = (turn * speed > 0) & (np.abs(turn) > np.maximum(_TURNING, 0.15 * drive.effort))
     outer &= np.abs(speed) > _MOVING
-    enough = max(_ENOUGH, 3.0 / drive.usual_step)  # stops, which give back, are short
+    enough = max(_ENOUGH, 3.0 / drive.typical_step)  # stops, which give back, are short
     drawn = drive.channels[side][outer]
     negative = _wrong_sign(drawn)
     if len(drawn) >= enough or (len(drawn) and not negative):
@@ -859,7 +859,7 @@ def _repeats(drive: Observed) -> _Found:
     """Find a power that changes with every sample, but stays the same for a while in driving."""
     drive = drive.rows
     t, moving = drive.t, drive.moving
-    least = max(5, round(0.3 / drive.usual_step))
+    least = max(5, round(0.3 / drive.typical_step))
     turned = np.append(False, np.diff(drive.effort) != 0.0)
     speeds = np.stack([drive.left, drive.right])
     change = np.abs(np.diff(speeds, prepend=speeds[:, :1])).sum(axis=0)
@@ -889,10 +889,10 @@ def _repeats(drive: Observed) -> _Found:
                 f"{what}", remedy,
             )  # fmt: skip
         hangs = drives & (counts >= least)
-        lost, usual = int(counts[hangs].sum()), counts[drives & ~hangs]
+        lost, typical = int(counts[hangs].sum()), counts[drives & ~hangs]
         held, share = values[starts[hangs]], lost / max(int(np.count_nonzero(moving)), 1)
         often = np.count_nonzero(hangs) >= 3 and share >= 0.01
-        if not often or not len(usual) or np.mean(usual > 1) > 0.05:
+        if not often or not len(typical) or np.mean(typical > 1) > 0.05:
             continue
         # Without noise, all that is driven steadily repeats, but for rounding in its last digits.
         lively = np.mean(turned[np.repeat(hangs, counts)]) >= 0.5

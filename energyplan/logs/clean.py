@@ -69,9 +69,9 @@ def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
     factor, least = _STANDS_OUT[channel]
     readings = values[known]
     lasting = np.median(sliding_window_view(np.pad(readings, 2, mode="reflect"), 5), axis=-1)
-    usual = float(np.quantile(np.abs(lasting), 0.99))
-    apart = (np.abs(readings - lasting) > factor * usual) & (np.abs(readings) > least)
-    if usual > 0.0 and np.mean(apart) <= _FEW:
+    typical = float(np.quantile(np.abs(lasting), 0.99))
+    apart = (np.abs(readings - lasting) > factor * typical) & (np.abs(readings) > least)
+    if typical > 0.0 and np.mean(apart) <= _FEW:
         lost[known[apart]] = True
     return lost
 
@@ -308,8 +308,8 @@ class _Cleaner:
             kinds = np.unique(values[stray])
             other = _OTHER_UNITS.get(unit, "*0.001")
             if unit == "rad/s":
-                usual = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
-                other = next((u for u, high in _TURNS.items() if usual <= high), "*FACTOR")
+                typical = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
+                other = next((u for u, high in _TURNS.items() if typical <= high), "*FACTOR")
             blank = f"; where {value:g} stands for no reading, leave the cell empty"
             raise DriveLogError(
                 f"{self.label}, {self.where(stray, name)}: {name} is {value:g} {unit}, which no "
@@ -377,14 +377,14 @@ class _Cleaner:
             return
         k = int(np.flatnonzero(back)[0])
         steps = np.diff(t)
-        usual = float(np.median(np.abs(steps[steps != 0.0]))) if np.any(steps) else nan
+        typical = float(np.median(np.abs(steps[steps != 0.0]))) if np.any(steps) else nan
         steady = f"of rows at a steady rate, map t={ROW}[*PERIOD] with the time from row to row [s]"
         why = (
             "recordings follow each other, a part stands twice, or the clock was set back or ran "
             f"over: give each recording a file of its own; or, {steady}"
         )
         if not np.any(steps < 0.0):
-            coarse = f"counts in steps of {usual:.3g} s, or " if usual > 0.0 else ""
+            coarse = f"counts in steps of {typical:.3g} s, or " if typical > 0.0 else ""
             why = f"the clock {coarse}stood still: {steady}"
         raise DriveLogError(
             f"{self.label}, {self.where(back)}: t does not increase: {t[k]:.6f} s follows "

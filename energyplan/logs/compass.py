@@ -67,8 +67,8 @@ def counts_from_north(motion: Recorded) -> bool | None:
     by_pose = best.apart(np.array([-1.0, 1.0]) * np.sign(best.values))
     if abs(by_pose) > CHANCE:
         return by_pose > 0.0
-    turned = np.diff(np.interp(edges, *yaw))[whole]
-    treads = _fit(over(other - left.values)[:, None], turned, block[whole])
+    rotation = np.diff(np.interp(edges, *yaw))[whole]
+    treads = _fit(over(other - left.values)[:, None], rotation, block[whole])
     by_turning = treads.apart(np.ones(1))
     return by_turning < 0.0 if abs(by_turning) > CHANCE else None
 

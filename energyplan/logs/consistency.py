@@ -60,7 +60,7 @@ class Observed:
         self.difference = self.right - self.left
         self.effort = np.abs(self.left) + np.abs(self.right)  # [m/s], whatever their signs
         self.sides = {"p_left", "p_right"} <= set(channels)
-        self.usual_step = float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.nan
+        self.typical_step = float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.nan
         # Nothing but the heading shows the slip track.
         self.from_pose = "yaw_rate" not in channels
         battery = "current" in channels and "power" not in channels
@@ -75,8 +75,8 @@ class Observed:
 
     def averaged(self) -> Observed:
         """Return what means show, where rows are so close, or so many, that means suffice."""
-        close = _CLOSE / self.usual_step if self.usual_step < 0.5 * _CLOSE else 1.0
-        many = min(len(self.t) / _MANY_ROWS, _FAR_APART / self.usual_step)
+        close = _CLOSE / self.typical_step if self.typical_step < 0.5 * _CLOSE else 1.0
+        many = min(len(self.t) / _MANY_ROWS, _FAR_APART / self.typical_step)
         count = int(max(close, many, 1.0))
         runs = [run for run in self.runs if run.stop - run.start >= 100 * count]
         if count < 2 or sum(run.stop - run.start for run in runs) < 0.9 * len(self.t):
@@ -117,13 +117,13 @@ class Observed:
             counts, driving = counts[:-1], drives[:-1] & drives[1:]
             if np.count_nonzero(driving) < 8:
                 continue
-            usual = float(np.median(counts[driving]))
+            typical = float(np.median(counts[driving]))
             rows = np.flatnonzero(np.repeat(driving, counts))
-            if usual < 3 or np.mean(changing[rows]) < 0.1:
+            if typical < 3 or np.mean(changing[rows]) < 0.1:
                 continue
             # A reading that is the one before by chance makes two of one; and one may be late.
-            times = counts[driving] / usual
-            regular = np.abs(times - np.clip(np.round(times), 1, 3)) * usual <= 1.0
+            times = counts[driving] / typical
+            regular = np.abs(times - np.clip(np.round(times), 1, 3)) * typical <= 1.0
             if np.mean(regular) > 0.9:
                 found[name] = float(np.median(np.diff(self.t[starts])[driving]))
         return found
@@ -340,8 +340,8 @@ def _repeats(residual: FloatArray) -> float:
     size = float(residual @ residual)
     spectrum = np.fft.rfft(residual, 2 * len(residual))
     alike = np.fft.irfft(np.abs(spectrum) ** 2)[1 : len(residual) // 4] / max(size, 1e-300)
-    apart = np.flatnonzero(alike < 0.05)
-    return 1.0 + 2.0 * float(alike[: apart[0] if len(apart) else None].sum())
+    uncorrelated = np.flatnonzero(alike < 0.05)
+    return 1.0 + 2.0 * float(alike[: uncorrelated[0] if len(uncorrelated) else None].sum())
 
 
 _WHEEL_RADII = (0.02, 0.45)  # of skid-steer robots [m]
@@ -395,7 +395,7 @@ class _Range:
     what: str
     low: float
     high: float
-    usual: float
+    typical: float
     why: str
 
     @property
@@ -407,7 +407,7 @@ class _Range:
 
     def strain(self, value: float) -> float:
         """How far a value is from the typical one, in widths of the range, squared."""
-        return (log(value / self.usual) / log(self.high / self.low)) ** 2 if value > 0 else inf
+        return (log(value / self.typical) / log(self.high / self.low)) ** 2 if value > 0 else inf
 
 
 # The slip track of real drives lies at 0.76 to 1.08 of that of equal point loads (Husky on floor,
@@ -439,7 +439,7 @@ def _ratios(seen: Mapping[str, float], drive: Observed) -> list[tuple[_Range, fl
     weight = mass * GRAVITY
     if not isfinite(mass):
         force = _ROUGH_FORCE
-        weight = _DENSITY.usual * track * (wheelbase if isfinite(wheelbase) else track) * GRAVITY
+        weight = _DENSITY.typical * track * (wheelbase if isfinite(wheelbase) else track) * GRAVITY
     found = [
         (_STEP, seen["step"]), (_TOP_SPEED, seen["top_speed"]), (_DISTANCE, seen["distance"]),
         (_ROTATION, seen["rotation"]), (_TURNING, seen["slip_track"] / geometric),
@@ -558,7 +558,9 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     """Return the mistakes that speeds of another size than pose, or turning, ask for may be."""
     geometric = 2 * predict_icr(known.wheelbase, known.track)
     distance = seen["distance"]
-    wanted = 1 / distance if isfinite(distance) else _TURNING.usual * geometric / seen["slip_track"]
+    wanted = (
+        1 / distance if isfinite(distance) else _TURNING.typical * geometric / seen["slip_track"]
+    )
     sides = ("v_left", "v_right")
     if not (isfinite(wanted) and wanted > 0):
         return [

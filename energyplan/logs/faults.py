@@ -97,7 +97,7 @@ def zeros_between(drive: Observed) -> Iterable[Check]:
     found: dict[str, int] = {}
     for name, speed in (("v_left", drive.left), ("v_right", drive.right)):
         size = np.abs(speed)
-        usual = float(np.median(size[size > 0.0])) if np.count_nonzero(size) else 0.0
+        typical = float(np.median(size[size > 0.0])) if np.count_nonzero(size) else 0.0
         blank = _short_zeros(speed)
         fast = np.flatnonzero(blank)
         before, after = fast - 1, fast + 1
@@ -106,9 +106,9 @@ def zeros_between(drive: Observed) -> Iterable[Check]:
         while len(fast) and np.any(blank[before]):
             before = np.where(blank[before], before - 1, before)
         low = np.minimum(speed[before] * np.sign(speed[after]), size[after])
-        count = int(np.count_nonzero(low > 0.5 * usual))
-        if usual > 0.0 and count >= max(
-            _ENOUGH, _SOME_ZEROS * np.count_nonzero(size > 0.5 * usual)
+        count = int(np.count_nonzero(low > 0.5 * typical))
+        if typical > 0.0 and count >= max(
+            _ENOUGH, _SOME_ZEROS * np.count_nonzero(size > 0.5 * typical)
         ):
             found[name] = count
     if found:

@@ -226,8 +226,8 @@ def time_units(times: FloatArray) -> tuple[str, ...]:
             return (name,)
     if np.nanmedian(times) > _DATE:
         sizes |= {"d": 86400.0}
-    usual = tuple(name for name, size in sizes.items() if 5e-4 <= step * size <= _RARE)[:1]
-    return ("", *usual) if _RARE < step <= LONGEST_STEP else usual or ("",)
+    typical = tuple(name for name, size in sizes.items() if 5e-4 <= step * size <= _RARE)[:1]
+    return ("", *typical) if _RARE < step <= LONGEST_STEP else typical or ("",)
 
 
 def is_unit(text: str) -> bool:

@@ -68,7 +68,7 @@ class _Things(NamedTuple):
     time: str
 
 
-def turned(
+def pivoted(
     frame: pd.DataFrame, names: Sequence[str], source: object, error: type[InvalidInputError]
 ) -> pd.DataFrame | None:
     """Return a table with a row a time, of one with a row for each of several things at it.
@@ -159,7 +159,7 @@ def _things(frame: pd.DataFrame, names: Sequence[str]) -> _Things | None:
     t = _times(frame, times[0])
     if not np.isfinite(t).all():
         return None
-    whole, usual = float(np.ptp(t)), float(np.median(np.diff(np.sort(t))))
+    whole, typical = float(np.ptp(t)), float(np.median(np.diff(np.sort(t))))
     of_tasks = any({*words(name)} & _OF_TASKS for name in names)
     text = {name: bool(numeric(frame[name]).isna().all()) for name in names}
     # Of several that distinguish the rows, such as a name and its unit, the finest.
@@ -174,14 +174,14 @@ def _things(frame: pd.DataFrame, names: Sequence[str]) -> _Things | None:
         ):
             continue
         parts = [np.sort(t[rows]) for rows in frame.groupby(name, sort=False).indices.values()]
-        if all(_all_along(part, usual, whole) for part in parts if len(part) >= _FEWEST) and (
+        if all(_all_along(part, typical, whole) for part in parts if len(part) >= _FEWEST) and (
             sum(len(part) for part in parts if len(part) >= _FEWEST) > 0.9 * len(t)
         ):
             return _Things(name, times[0])
     return None
 
 
-def _all_along(t: FloatArray, usual: float, whole: float) -> bool:
+def _all_along(t: FloatArray, typical: float, whole: float) -> bool:
     """Return whether times of some rows are spread over a recording, each farther than a row's."""
     steps = np.diff(t)
     steps = steps[steps > 0.0]
@@ -189,7 +189,7 @@ def _all_along(t: FloatArray, usual: float, whole: float) -> bool:
         return False
     step = float(np.median(steps))
     span = float(np.ptp(t))
-    return step > 1.5 * usual and len(t) * step > 0.7 * span > 0.35 * whole
+    return step > 1.5 * typical and len(t) * step > 0.7 * span > 0.35 * whole
 
 
 def _readings(frame: pd.DataFrame, names: Sequence[str], things: _Things) -> list[str]:

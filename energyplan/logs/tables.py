@@ -38,7 +38,7 @@ from energyplan.logs.mapping import (
     scale_of,
     time_units,
 )
-from energyplan.logs.rows import number, numbered, numeric, turned, with_unit
+from energyplan.logs.rows import number, numbered, numeric, pivoted, with_unit
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
@@ -920,7 +920,7 @@ def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
         twice = next(one for one in names if names.count(one) > 1)
         raise error(f"the DataFrame: two columns are named {twice!r}; rename one")
     frame = frame.set_axis(names, axis=1)
-    wide = turned(frame, names, "the DataFrame", error)
+    wide = pivoted(frame, names, "the DataFrame", error)
     frame = frame if wide is None else wide
     result = Columns([*map(str, frame)], 0, "row")
     result.add(frame)
@@ -1060,13 +1060,13 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
 
     parts: list[pd.DataFrame] | None = []  # of one reading a row
     for frame in _frames(data, dialect, file, error):
-        if columns.rows == 0 and not parts and turned(frame, names, file, error) is None:
+        if columns.rows == 0 and not parts and pivoted(frame, names, file, error) is None:
             parts = None
         if parts is not None:
             parts.append(frame)
             continue
         columns.add(frame)
-    wide = turned(pd.concat(parts), names, file, error) if parts else None
+    wide = pivoted(pd.concat(parts), names, file, error) if parts else None
     if wide is not None:
         columns = Columns(list(map(str, wide)), 1, "instant")
         columns.add(wide)

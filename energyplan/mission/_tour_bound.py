@@ -30,7 +30,7 @@ def _tree(energy: FloatTable, into: Floats, out: Floats, entered: Ints, left: In
     """Return the least tree over the root, 0, and all tasks, and how often it enters and leaves."""
     size = len(into)
     entered[:], left[:] = 0, 0
-    near, at, turned = np.full(size, np.inf), np.zeros(size, np.int64), np.zeros(size, np.bool_)
+    near, at, backward = np.full(size, np.inf), np.zeros(size, np.int64), np.zeros(size, np.bool_)
     inside = np.zeros(size, np.bool_)
     total, new = 0.0, 0
     inside[0] = True
@@ -40,11 +40,11 @@ def _tree(energy: FloatTable, into: Floats, out: Floats, entered: Ints, left: In
                 continue
             there = energy[new, j] + out[new] + into[j]
             if there < near[j]:
-                near[j], at[j], turned[j] = there, new, False
+                near[j], at[j], backward[j] = there, new, False
             if new > 0:
                 back = energy[j, new] + out[j] + into[new]
                 if back < near[j]:
-                    near[j], at[j], turned[j] = back, new, True
+                    near[j], at[j], backward[j] = back, new, True
         least, new = np.inf, -1
         for j in range(1, size):
             if not inside[j] and near[j] < least:
@@ -53,7 +53,7 @@ def _tree(energy: FloatTable, into: Floats, out: Floats, entered: Ints, left: In
             return np.inf
         total += least
         inside[new] = True
-        here, goal = (new, at[new]) if turned[new] else (at[new], new)
+        here, goal = (new, at[new]) if backward[new] else (at[new], new)
         left[here] += 1
         entered[goal] += 1
     return total

@@ -387,19 +387,19 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
         if np.isfinite(tours.window[t, 1]) or tours.window[t, 0] > tours.start_time.min():
             timed = True
     first = np.searchsorted(tours.option, np.arange(n + 1))
-    apart = np.full((n, n), np.inf)
+    distance = np.full((n, n), np.inf)
     for o in range(len(tours.option)):
         for other in range(len(tours.option)):
             t, u = tours.option[o], tours.option[other]
             way = np.inf
             for r in range(robots):
                 way = min(way, tours.energy[r, 1 + o, 1 + other])
-            apart[t, u] = min(apart[t, u], way)
-            apart[u, t] = min(apart[u, t], way)
+            distance[t, u] = min(distance[t, u], way)
+            distance[u, t] = min(distance[u, t], way)
     near = np.zeros((n, n), np.int64)
     for t in range(n):
-        apart[t, t] = -np.inf
-        near[t] = np.argsort(apart[t], kind="mergesort")
+        distance[t, t] = -np.inf
+        near[t] = np.argsort(distance[t], kind="mergesort")
     now, new, best = _no_plans(robots, n), _no_plans(robots, n), _no_plans(robots, n)
     closed = np.zeros(robots, np.bool_)
     for r in range(robots):

@@ -295,10 +295,12 @@ class Models(ByValue):
         """Return how a run differs from its model; models between payloads are weighed."""
         source = self._sources[self._source_of[region]]
         known = np.array([model.residual is not None for model in source.models])
-        usual = self.spreads.run
+        typical = self.spreads.run
         if not known.any():
-            return RunEffect(deviation=usual)
-        runs = [RunEffect.known(m.residual, usual) for m in source.models if m.residual is not None]
+            return RunEffect(deviation=typical)
+        runs = [
+            RunEffect.known(m.residual, typical) for m in source.models if m.residual is not None
+        ]
         weights = self._weights(source, payload)[known]
         weights = weights / weights.sum() if weights.sum() > 0 else weights + 1 / len(weights)
         return RunEffect(
@@ -379,8 +381,8 @@ class Models(ByValue):
         """Return the power of driving straight on, at a tread speed or a typical one [W]."""
         model = self.model_of(0, payload)
         vehicle = model.vehicle
-        usual = min(speed or np.inf, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
-        power = model.battery_side().power(_straight(model, float(usual)))
+        typical = min(speed or np.inf, vehicle.usual_speed, vehicle.motor.speed, _USUAL_SPEED)
+        power = model.battery_side().power(_straight(model, float(typical)))
         return max(float(power[0]), 1.0)
 
     def _one(

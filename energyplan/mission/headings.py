@@ -126,8 +126,8 @@ class _Ways:
         query = compiled(problem.toward(found.path.end))
         paths = [found.path]
         if scene.symmetric:
-            turned = Pose(found.path.start.x, found.path.start.y, found.path.start.yaw + np.pi)
-            paths.append(Path(turned, -found.path.ds, found.path.dtheta, found.path.longitudinal))
+            opposite = Pose(found.path.start.x, found.path.start.y, found.path.start.yaw + np.pi)
+            paths.append(Path(opposite, -found.path.ds, found.path.dtheta, found.path.longitudinal))
         begin, end = (np.array([query.centre(pose) for pose in each]) for each in (starts, ends))
         for path in paths:
             best = np.minimum(best, _steered(query, path, begin, end))

@@ -812,8 +812,8 @@ class Matrix:
             spans = np.interp(ends, filled.charge, filled.time)
             held = self._held(ends)
             fallback = supply.fastest(one) * sim.mission.battery.charge_efficiency
-            usual = spans[1] > spans[0] and held[1] > held[0]
-            rate.append(float(np.diff(held)[0] / np.diff(spans)[0]) if usual else fallback)
+            typical = spans[1] > spans[0] and held[1] > held[0]
+            rate.append(float(np.diff(held)[0] / np.diff(spans)[0]) if typical else fallback)
         return self._scale * np.array(full, float), np.array(rate, float)
 
     def problem(self) -> OrderProblem:

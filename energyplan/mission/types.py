@@ -272,8 +272,8 @@ ToolPower = Annotated[Power, Within((0, 1e6), (0, 2e4), "W")]
 Speed = Annotated[float, Within((1e-3, 50), (0.05, 15), "m/s")]
 
 
-def _share(greatest: float, usual: float) -> Within:
-    return Within((0, greatest), (0, usual), "", PERCENT)
+def _share(greatest: float, typical: float) -> Within:
+    return Within((0, greatest), (0, typical), "", PERCENT)
 
 
 def _part_goal(values: dict[str, Any], info: ValidationInfo) -> None:
@@ -398,9 +398,9 @@ class Task:
         both = "both a pose and a path" if all(given) else "neither a pose nor a path"
         require(sum(given) == 1, f"task {self.name!r} has {both}; give one of them", "pose")
         if not self.path:
-            for key, usual in (("direction", "either"), ("speed", None), ("payload_per_metre", 0)):
+            for key, unset in (("direction", "either"), ("speed", None), ("payload_per_metre", 0)):
                 message = f"task {self.name!r}: {key} is for tasks with a path; leave it out"
-                require(getattr(self, key) == usual, message, key)
+                require(getattr(self, key) == unset, message, key)
             return
         require(
             self.dwell == 0 and not self.dwell_spread,

@@ -65,14 +65,14 @@ def ratio(
 ) -> float:
     """Return the energy that a drive took, over what a model says of it."""
     icr, law = model.vehicle.icr, priced.cost.model
-    apart = np.subtract(astuple(icr), astuple(drive.icr))
+    shift = np.subtract(astuple(icr), astuple(drive.icr))
     # A tread that was to stand stands with the ICRs that it was steered by; with others it creeps,
     # against all of its resistance.
     as_steered = replace(law, vehicle=law.vehicle.with_icr(drive.icr))
     predicted = predicted_energy(
         drive.reference, replace(priced, cost=replace(priced.cost, model=as_steered))
     )
-    if np.abs(apart).max() > ALIKE * icr.half_track:
+    if np.abs(shift).max() > ALIKE * icr.half_track:
         on_slopes = model if heights is None else with_weight(model)
         with suppress(MissingChannelError):  # a sensor less than the model asks for
             predicted = replayed_energy(on_slopes, drive.log)

@@ -56,8 +56,8 @@ def _places(path: Path, problem: PlanningProblem) -> Path:
 def _places_ahead(fine: Path, here: Pose, problem: PlanningProblem) -> list[int]:
     """Return the vertices of a path at which a robot may get back to it, the nearest one first."""
     off = fine.vertices - np.array(here)
-    turned = problem.cost.half_track * wrap_angle(off[:, 2])
-    away = np.hypot(np.hypot(off[:, 0], off[:, 1]), turned)
+    rotation = problem.cost.half_track * wrap_angle(off[:, 2])
+    away = np.hypot(np.hypot(off[:, 0], off[:, 1]), rotation)
     # of a place that it passes twice the later time counts
     nearest = int(np.flatnonzero(away <= away.min() + REJOINING.alike)[-1])
     along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])

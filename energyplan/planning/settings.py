@@ -68,7 +68,7 @@ class Refining(NamedTuple):
     spare: int = 20  # poses beyond the motions of a path, at least
     piece: float = 0.2  # length of the shortest motions [m]
     pivot: float = 0.3  # turn of the smallest motions [rad]
-    apart: int = 150  # largest index difference of poses that a shortcut joins
+    span: int = 150  # largest index difference of poses that a shortcut joins
     near: int = 5  # the same at first where a path has more poses than `apart`
     fewer: float = 0.7  # share of the poses that is left above which that difference is doubled
     hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
@@ -294,7 +294,7 @@ class SeveralGoals(NamedTuple):
     others: int = 3  # other headings of the best goal that are planned to
     promising: float = 1.05  # cost of the route to one of these over the best plan's, at most
     possible: float = 1.2  # the same for another goal
-    apart: float = 0.6  # difference of headings that deserve a plan of their own [rad]
+    span: float = 0.6  # difference of headings that deserve a plan of their own [rad]
     ends: int = 60  # poses of a path from which another end is tried
     near: float = 10.0  # distance of these from the end [reaches of the body]
     hopeless: int = 4  # ends that one of these is not joined to until it is given up

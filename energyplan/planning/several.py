@@ -238,7 +238,7 @@ def _others(aims: Sequence[Aim], found: Found) -> list[Aim]:
             continue
         before = seen.setdefault(aim.goal, [])
         turns = np.abs(wrap_angle(np.array(before) - aim.pose.yaw))
-        if (len(before) > SEVERAL.others + 1 or np.any(turns < SEVERAL.apart)) if mine else before:
+        if (len(before) > SEVERAL.others + 1 or np.any(turns < SEVERAL.span)) if mine else before:
             continue
         before.append(aim.pose.yaw)
         chosen.append(aim)

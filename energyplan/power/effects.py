@@ -422,8 +422,8 @@ def _beyond(motion: Motion, vehicle: Vehicle, direction: float, offset: float) -
     along = x * np.cos(direction) + y * np.sin(direction) - offset
     if "yaw" not in motion.channels:
         return np.asarray(along > 0.0, float)
-    turned = motion.channels["yaw"] - direction
-    ahead, aside = np.cos(turned), np.sin(turned)
+    rotated = motion.channels["yaw"] - direction
+    ahead, aside = np.cos(rotated), np.sin(rotated)
     share = np.zeros(motion.shape)
     for (forward, left), load in zip(vehicle.contacts, vehicle.loads, strict=True):
         share += load * (along + forward * ahead - left * aside > 0.0)
@@ -734,7 +734,7 @@ def reads_heading(model: PowerModel, channels: Mapping[str, float]) -> bool:
     steady |= {"slope": 0.0, **channels}
     yaw = np.linspace(-3.0, 3.1, 26)[:, None]
     v, omega = np.array([(0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5), (0.3, 0.6)]).T
-    ahead, turned = (
+    ahead, rotated = (
         model.power(
             Motion.from_twist(v, omega, model.vehicle.icr, **{**steady, "yaw": 0.0}).with_channels(
                 yaw=at
@@ -742,7 +742,7 @@ def reads_heading(model: PowerModel, channels: Mapping[str, float]) -> bool:
         )
         for at in (0.0, yaw)
     )
-    return not np.array_equal(ahead + 0.0 * yaw, turned)
+    return not np.array_equal(ahead + 0.0 * yaw, rotated)
 
 
 def with_weight(model: PowerModel) -> PowerModel:

@@ -71,8 +71,8 @@ def _since_start(motion: Motion) -> FloatArray:
     found = np.full(motion.shape, _SINCE)
     for speed in (motion.v_left, motion.v_right):
         way = np.sign(speed)
-        turned = np.concatenate([[False], (way[1:] != way[:-1]) & (way[1:] != 0)])
-        last = np.maximum.accumulate(np.where(turned, t, -np.inf))
+        reversals = np.concatenate([[False], (way[1:] != way[:-1]) & (way[1:] != 0)])
+        last = np.maximum.accumulate(np.where(reversals, t, -np.inf))
         found = np.where(way != 0, np.minimum(found, t - last), found)
     return found
 

@@ -94,8 +94,8 @@ class HeightMap(ByValue):
         along = (h[i, j + 1] - h[i, j]) * (1 - y) + (h[i + 1, j + 1] - h[i + 1, j]) * y
         across = (h[i + 1, j] - h[i, j]) * (1 - x) + (h[i + 1, j + 1] - h[i, j + 1]) * x
         c, s = np.cos(self.origin.yaw), np.sin(self.origin.yaw)
-        turned = np.stack([along, across], axis=-1) @ np.array([[c, s], [-s, c]])
-        return np.asarray(turned / self.resolution)
+        rotated = np.stack([along, across], axis=-1) @ np.array([[c, s], [-s, c]])
+        return np.asarray(rotated / self.resolution)
 
     def slope(self, poses: ArrayLike) -> FloatArray:
         """Return the slope along the heading, positive uphill ahead."""

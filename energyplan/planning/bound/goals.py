@@ -96,8 +96,8 @@ def _least_in_disc(setting: KernelProblem, middle: Pose, around: float) -> float
         return 0.0
     aside = remainder(atan2(dy, dx) - setting.start.yaw, 2.0 * pi)
     # backwards counts as ahead for a robot that reverses
-    turned = 0.0 if setting.gear != 0 or abs(aside) <= 0.5 * pi else pi
-    ahead = abs(remainder(aside - turned, 2.0 * pi))
+    facing = 0.0 if setting.gear != 0 or abs(aside) <= 0.5 * pi else pi
+    ahead = abs(remainder(aside - facing, 2.0 * pi))
     ahead = max(ahead - asin(around / away), 0.0) + setting.start.yaw
     nearest = Pose(
         setting.start.x + (away - around) * cos(ahead),

@@ -460,9 +460,9 @@ def _rejoined(lines: list[FloatArray], shape: tuple[int, int]) -> list[FloatArra
     for begin in [*(place for place in pieces if place not in ends), *pieces]:
         chain: list[FloatArray] = []
         at = begin
-        while (piece := pieces.pop(at, None)) is not None:
-            chain.append(piece if not chain else piece[1:])
-            at = tuple(piece[-1])
+        while (chunk := pieces.pop(at, None)) is not None:
+            chain.append(chunk if not chain else chunk[1:])
+            at = tuple(chunk[-1])
         if chain:
             whole.append(np.concatenate(chain))
     return whole

@@ -429,17 +429,17 @@ class Refiner:
         """Leave out the poses without which the path is cheaper."""
         # of many poses most are left out by short shortcuts, which take little work
         reach = REFINING.near
-        while self.count > REFINING.apart > reach and not budget.over:
+        while self.count > REFINING.span > reach and not budget.over:
             before = self.count
             self._shortcut(reach, budget)
             if self.count > REFINING.fewer * before:
                 reach *= 2
-        self._shortcut(REFINING.apart, budget)
+        self._shortcut(REFINING.span, budget)
 
-    def _shortcut(self, apart: int, budget: Budget) -> None:
+    def _shortcut(self, span: int, budget: Budget) -> None:
         # few poses take little work, and a path whose first part alone is shortened gains less
-        most = budget.left if self.count > REFINING.apart else np.inf
-        left = shortcut(self.chain, self.setting, self.count, apart, most)
+        most = budget.left if self.count > REFINING.span else np.inf
+        left = shortcut(self.chain, self.setting, self.count, span, most)
         self.count = int(left.poses)
         budget.spend(UNITS.steer * left.steered + UNITS.join * left.tested)
 

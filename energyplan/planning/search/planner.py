@@ -340,10 +340,10 @@ def _compared(paths: Paths, units: float) -> Work:
     setting = paths.setting
     lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
     spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
-    turned = setting._replace(start=start._replace(yaw=start.yaw + spin))
+    rotated = setting._replace(start=start._replace(yaw=start.yaw + spin))
     if setting.widest > 0.0 or not motion_free(setting.space, setting.body, *start, 0.0, spin, 0.0):
-        spin, turned = 0.0, setting
-    search, limit = Search(turned, paths.to_go, lattice, 1.0), LATTICE.hope * paths.cost
+        spin, rotated = 0.0, setting
+    search, limit = Search(rotated, paths.to_go, lattice, 1.0), LATTICE.hope * paths.cost
 
     def enter(found: Segments | None) -> None:
         if found is not None:

@@ -152,10 +152,10 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
                 if shared & (np.uint64(1) << np.uint64(h)) == 0:
                     cost[h] = inf
                     continue
-                turned = abs(h - way) % HEADINGS
-                turned = min(turned, HEADINGS - turned)
-                aslant = min(turned, HEADINGS // 2 - turned)
-                backwards = turned > HEADINGS // 4 and setting.gear != 0
+                bins = abs(h - way) % HEADINGS
+                bins = min(bins, HEADINGS - bins)
+                aslant = min(bins, HEADINGS // 2 - bins)
+                backwards = bins > HEADINGS // 4 and setting.gear != 0
                 cost[h] += inf if backwards else length * aside[int(aslant + 0.5)]
         for h in range(HEADINGS):
             came[k, h] = h

@@ -356,8 +356,8 @@ class CompiledProblem:
 
     def motions_of(self, other: CompiledProblem, motions: Segments) -> Segments:
         """Return motions of the centre, given those of another one's in the same vehicle."""
-        turned = (other.middle[1] - self.middle[1]) * motions.dtheta
-        return Segments(motions.ds + turned, motions.dtheta)
+        shift = (other.middle[1] - self.middle[1]) * motions.dtheta
+        return Segments(motions.ds + shift, motions.dtheta)
 
     def path(self, segments: Segments) -> Path:
         """Return the path that starts at the problem's start."""
