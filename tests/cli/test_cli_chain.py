@@ -118,14 +118,20 @@ def test_the_usual_speed_is_the_default_and_the_cheapest_a_choice(
 def test_a_range_is_priced_at_the_speed_that_plans_are(
     ask: Ask, hall: list[object], tmp_path: Path
 ) -> None:
-    base = [*hall[:4], "--start", "1.5,2,0"]
-    plan, farthest = {}, {}
+    """Of one place, as places differ in how much of the way to them is turning."""
+    place, grid = (6.5, 2.0), tmp_path / "energies.asc"
+    planned, reached = {}, {}
     for speed in (1.2, 0.4):
         slow = replace(LAW, vehicle=replace(LAW.vehicle, usual_speed=speed))
         write_model(slow, tmp_path / "own.yaml")
-        plan[speed] = ask("plan", *hall)["energy"]
-        farthest[speed] = ask("range", *base)["contours"][-1]["energy"]
-    assert farthest[0.4] / farthest[1.2] == pytest.approx(plan[0.4] / plan[1.2], rel=0.02)
+        planned[speed] = ask("plan", *hall[:6], "--goal", "6.5,2", "--effort", 3000)["energy"]
+        ask("range", *hall[:6], "--out", grid)
+        cell = next(float(line.split()[1]) for line in grid.read_text().splitlines()
+                    if line.startswith("cellsize"))  # fmt: skip
+        energies = np.loadtxt(grid, skiprows=6)[::-1]
+        reached[speed] = energies[int(place[1] / cell), int(place[0] / cell)]
+    assert reached[0.4] / reached[1.2] == pytest.approx(planned[0.4] / planned[1.2], rel=0.02)
+    assert reached == pytest.approx(planned, rel=0.03)
 
 
 def test_inputs_that_say_nothing_are_refused(

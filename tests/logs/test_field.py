@@ -337,8 +337,8 @@ SPEEDS = {"left_speed": np.round(100 * AT.left), "right_speed": np.round(100 * A
 @pytest.mark.parametrize(
     ("columns", "told"),
     [
-        (TENTHS, r"whole numbers, .* current=amps\[\*0.1\]"),
-        (HUNDREDTHS, r"whole numbers, .* current=amps\[\*0.01\]"),
+        (TENTHS, r"whole numbers, .* 'current=amps\[\*0.1\]'"),
+        (HUNDREDTHS, r"whole numbers, .* 'current=amps\[\*0.01\]'"),
         (USED, r"map its rate of change .* current=charge_used\[mAh\]"),
         ({**SPEEDS, "power": AT.power}, "left_speed could be in rpm.* or cm/s"),
     ],
