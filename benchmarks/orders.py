@@ -228,11 +228,11 @@ def main_large(seconds: float, page: Path | None) -> None:
         gap = "-"
         if not left:
             bound = orders_at_least([one] * robots, [range(tasks)] * robots, energy)
-            gap = f"{100 * (1 - bound / energy):.2f}"
+            gap = f"{100 * (1 - bound / energy):z.2f}"
         other = of_ortools(one, robots, seconds)
         compared = "not installed | - | -"
         if other is not None:
-            less = f"{100 * (1 - energy / other[0]):.2f}" if left == other[1] else "-"
+            less = f"{100 * (1 - energy / other[0]):z.2f}" if left == other[1] else "-"
             compared = f"{other[0] / 3600:.2f} | {other[1]} | {less}"
         rows.append(
             f"| {tasks} | {robots} | {chargers} | {'yes' if windows else 'no'} "
