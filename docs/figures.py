@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,8 +29,8 @@ from energyplan.planning import Budget
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_route, cheapest_routes
 from energyplan.planning.search.tracking import poses_along
-from energyplan.planning.space.compiled import compiled
-from energyplan.planning.space.cost_to_go import cost_to_go
+from energyplan.planning.space.compiled import CompiledProblem, compiled
+from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go
 from energyplan.power import HOTEL, effects
 
 HERE = Path(__file__).resolve().parent
@@ -94,24 +95,36 @@ def turns() -> Figure:
     return made
 
 
+class Steps(NamedTuple):
+    """What the steps of the planner make of a problem."""
+
+    to_go: CostToGo
+    cells: np.ndarray  # (cells, 3): poses of the cheapest route
+    followed: list[ep.Path]  # routes as exact motions
+    refined: list[ep.Path]  # each of them after shortcuts and moved poses
+
+
+def steps_of(query: CompiledProblem, rounds: int) -> Steps:
+    """Find, follow and refine the routes of a problem; refine so many times."""
+    budget, to_go = Budget(effort=50_000), cost_to_go(query.setting)
+    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000, False).chain
+    cells = poses_along(to_go.places, query.setting, route)
+    ways = cheapest_routes(query.setting, to_go, budget)
+    refined = []
+    for way in ways:
+        refiner, own = Refiner(query.setting, way), budget.part(0.2)
+        for shorten in (refiner.shortcut, refiner.again)[:rounds]:
+            shorten(own)
+            refiner.polish(own)
+        refined.append(query.path(refiner.segments))
+    return Steps(to_go, cells, [query.path(way) for way in ways], refined)
+
+
 def planner() -> Figure:
     """Follow the routes of a warehouse by exact motions, and refine them."""
     problem = warehouse()
     query = compiled(problem).leading
-    budget = Budget(effort=50_000)
-    to_go = cost_to_go(query.setting)
-    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000, False).chain
-    cells = poses_along(to_go.places, query.setting, route)
-    ways = cheapest_routes(query.setting, to_go, budget)
-    followed = [query.path(way) for way in ways]
-    refined = []
-    for way in ways:
-        refiner, own = Refiner(query.setting, way), budget.part(0.2)
-        refiner.shortcut(own)
-        refiner.polish(own)
-        refiner.again(own)
-        refiner.polish(own)
-        refined.append(query.path(refiner.segments))
+    _, cells, followed, refined = steps_of(query, 2)
     best = min(refined, key=query.value)
     made = Figure(figsize=(plots.WIDTH, 4.4), layout="constrained")
     place = made.subplots()
@@ -128,18 +141,8 @@ def planner() -> Figure:
 def planner_steps() -> Figure:
     """One problem, and what each step of the planner makes of it."""
     problem = warehouse()
-    query, budget = compiled(problem).leading, Budget(effort=50_000)
-    to_go = cost_to_go(query.setting)
-    route = cheapest_route(to_go, query.setting, np.ones(1), 50_000, False).chain
-    cells = poses_along(to_go.places, query.setting, route)
-    ways = cheapest_routes(query.setting, to_go, budget)
-    followed = [query.path(way) for way in ways]
-    refined = []
-    for way in ways:
-        refiner, own = Refiner(query.setting, way), budget.part(0.2)
-        refiner.shortcut(own)
-        refiner.polish(own)
-        refined.append(query.path(refiner.segments))
+    query = compiled(problem).leading
+    to_go, cells, followed, refined = steps_of(query, 1)
     plan = ep.plan(problem, effort=50_000)
     made = Figure(figsize=(plots.WIDTH, 5.6), layout="constrained")
     axes = made.subplots(3, 2, sharex=True, sharey=True).ravel()
@@ -156,10 +159,9 @@ def planner_steps() -> Figure:
     axes[0].imshow(free, cmap="Blues", alpha=0.8, **about)
     axes[1].imshow(distance, cmap="viridis_r", alpha=0.8, **about)
     axes[2].plot(*cells[:, :2].T, ".", ms=3, color=plots.RED)
-    for path, color in zip(followed, CYCLE, strict=False):
-        axes[3].plot(*path.poses(0.05, 0.05)[:, :2].T, color=color, lw=1.0)
-    for path, color in zip(refined, CYCLE, strict=False):
-        axes[4].plot(*path.poses(0.05, 0.05)[:, :2].T, color=color, lw=1.0)
+    for ax, paths in zip(axes[3:5], (followed, refined), strict=True):
+        for path, color in zip(paths, CYCLE, strict=False):
+            ax.plot(*path.poses(0.05, 0.05)[:, :2].T, color=color, lw=1.0)
     axes[5].plot(*plan.path.poses(0.05, 0.05)[:, :2].T, color=plots.BLUE, lw=1.4)
     first, last = (f"{min(map(query.value, paths)):.0f} J" for paths in (followed, refined))
     for number, (ax, title) in enumerate(zip(axes, (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -220,14 +220,11 @@ class GoalOptions:
     @property
     def goals(self) -> tuple[Goal, ...]:
         """The goals, of which one is to be reached."""
-        from energyplan.planning.goal import as_goals
-
         if not self.goal:
             raise InvalidInputError(
                 "--goal is missing; give X,Y,YAW, or X,Y for any heading at a place"
             )
-        heading, radius = self.goal_heading or "", self.goal_radius
-        return tuple(goal for text in self.goal for goal in as_goals(text, heading, radius))
+        return _goals(self.goal, self.goal_heading, self.goal_radius)
 
 
 @dataclass(frozen=True)
@@ -254,19 +251,19 @@ class ReturnOptions:
 
     def goals(self, start: Pose) -> tuple[Goal, ...]:
         """Return the goals, of which it has to get back to one; none where it need not."""
-        from energyplan.planning.goal import as_goals
-
         if not self.return_to and (self.return_heading or self.return_radius):
             raise InvalidInputError(
                 "--return-heading and --return-radius say how to arrive at --return-to; give that"
             )
-        heading = self.return_heading or ""
-        known = [
-            goal
-            for text in self.return_to or ()
-            for goal in as_goals(text, heading, self.return_radius)
-        ]
-        return (*(as_goals(start) if self.back else ()), *known)
+        known = _goals(self.return_to or (), self.return_heading, self.return_radius)
+        return (*_goals([start] if self.back else (), None, 0.0), *known)
+
+
+def _goals(places: Sequence[str | Pose], heading: str | None, radius: float) -> tuple[Goal, ...]:
+    """Return the goals that some texts or poses name, with options for all of them."""
+    from energyplan.planning.goal import as_goals
+
+    return tuple(goal for one in places for goal in as_goals(one, heading or "", radius))
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@
 3. `_Stages`: the first path is refined a little and driven, where stops take energy or time, so
    that a stop has a price from then on. Then come stages of growing work: routes, each cheapest by
    its length and turns and the later ones away from the former, are tracked, a coarse lattice
-   compares routes through open ground, and narrow passages are searched; in parallel a lower bound
-   on every path's cost is computed. The shortest of all paths is shortened: it is the answer where
+   compares routes through open ground, a lower bound on every path's cost is computed, and narrow
+   passages are searched. The shortest of all paths is shortened: it is the answer where
    length is the objective, and a plan of least energy costs no more. The best paths are refined,
    and driven from time to time. Planning ends when the budget is over, the gap to the bound is
    closed, or nothing is gained any more.
@@ -207,7 +207,7 @@ class _Stages:
                 self._do(works[k : k + 2])
 
     def _search(self, size: float) -> None:
-        """Search further paths, and a better bound."""
+        """Search further paths, shorten the shortest one, and search a better bound."""
         if self.closed:
             self.open.clear()
         if not self.open:
