@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parent  # folder of the package
-DECORATORS = ("njit", "inner")  # names of the decorators that make a function a kernel
+DECORATORS = ("njit", "inner", "lean")  # names of the decorators that make a function a kernel
 
 
 class Name(NamedTuple):

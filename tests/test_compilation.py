@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import commands
 import numba
@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
 
 import energyplan
-from energyplan.compilation import KERNELS, _numba_type, cache_folder, kernel_modules
+from energyplan.compilation import (
+    KERNELS,
+    Kernel,
+    LeanKernel,
+    _numba_type,
+    cache_folder,
+    kernel_modules,
+)
 
 PACKAGE = Path(energyplan.__file__).parent
 
@@ -385,6 +392,33 @@ def test_every_kernel_has_one_signature() -> None:
     assert len(KERNELS) > 100
     for kernel in KERNELS.values():
         assert len(kernel.declared) == kernel.py_func.__code__.co_argcount
+
+
+def holds_arrays(annotation: Any) -> bool:
+    """Return whether what an annotation stands for is an array, or has one among its fields."""
+    if annotation is type(None):
+        return False
+    return any(isinstance(part, numba.types.Array) for part in parts_of(_numba_type(annotation)))
+
+
+def parts_of(kind: Any) -> list[Any]:
+    """Return a type, or those of the fields of a tuple, to any depth."""
+    fields = kind.types if isinstance(kind, numba.types.BaseTuple) else ()
+    return [kind] if not fields else [part for field in fields for part in parts_of(field)]
+
+
+def test_kernels_without_references_neither_return_arrays_nor_are_given_new_ones() -> None:
+    """Nothing would free an array that such a kernel got from another one."""
+    for name in kernel_modules():
+        importlib.import_module(name)
+    lean = [kernel for kernel in KERNELS.values() if isinstance(kernel, LeanKernel)]
+    assert len(lean) > 50
+    for kernel in lean:
+        function = kernel.py_func
+        used = [function.__globals__.get(name) for name in function.__code__.co_names]
+        for each in (kernel, *(one for one in used if isinstance(one, Kernel))):
+            returned = get_type_hints(each.py_func, include_extras=True)["return"]
+            assert not holds_arrays(returned), (kernel.name, each.name)
 
 
 @pytest.mark.parametrize("number", [np.float64, np.float32, np.int8, np.bool_])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import AnyInts, Column, Floats, Ints, inner, njit
+from energyplan.compilation import AnyInts, Column, Floats, Ints, lean, njit
 from energyplan.path import ROUNDING
 
 EDGE = 1e-12  # fraction of a subinterval's middle speed that replaces zero at its edges
@@ -56,7 +56,7 @@ def cut_intervals(
     return interval[:total], begin[:total], end[:total]
 
 
-@inner
+@lean
 def _onesided(value: float, middle: float) -> float:
     """Speed at the edge of a subinterval, with the direction that it has inside."""
     if value * middle < 0.0 or abs(value) < EDGE * abs(middle):

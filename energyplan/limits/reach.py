@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from energyplan.compilation import AnyTable, Column, Floats, FloatTable, Ints, inner, njit
+from energyplan.compilation import AnyTable, Column, Floats, FloatTable, Ints, lean, njit
 from energyplan.errors import InfeasibleMotionError, InvalidInputError
 from energyplan.limits.course import SETTINGS, Course, Points, Sampled, times
 from energyplan.limits.drive import Ground, Traversal
@@ -304,7 +304,7 @@ def over(limit: ArrayLike, value: FloatArray) -> FloatArray:
     return np.divide(limit, value, out=np.full_like(value, np.inf), where=value > 0)
 
 
-@inner
+@lean
 def _kept(
     before: Column, after: Column, first: float, last: float,
     length: float, most: float, up: float, down: float,
@@ -320,7 +320,7 @@ def _kept(
     return True
 
 
-@inner
+@lean
 def _farthest(
     before: Column, after: Column, first: float, cap: float,
     length: float, most: float, up: float, down: float,
@@ -361,7 +361,7 @@ def _farthest(
     return best
 
 
-@inner
+@lean
 def _allowed(table: FloatTable, scale: Floats, kind: int, rate: float) -> float:
     """Largest change of a rate that a table of products allows for one of the motions."""
     rungs = table.shape[1] - 1
@@ -373,7 +373,7 @@ def _allowed(table: FloatTable, scale: Floats, kind: int, rate: float) -> float:
     return product / max(rate, slowest)
 
 
-@inner
+@lean
 def _farthest_allowed(
     before: Column, after: Column, first: float, cap: float, length: float, most: float,
     up: float, down: float, rises: FloatTable, falls: FloatTable, scale: Floats, here: int,

@@ -35,6 +35,7 @@ from energyplan.compilation import (
     IntTable,
     WideBlock,
     inner,
+    lean,
     njit,
 )
 
@@ -136,13 +137,13 @@ class Rest(NamedTuple):
     charge: float  # energy that one visit adds at most [J]
 
 
-@inner
+@lean
 def loosely(limit: float) -> float:
     """Return a limit with room for rounding."""
     return limit + _EPSILON * max(abs(limit), 1.0) if np.isfinite(limit) else limit
 
 
-@inner
+@lean
 def energy_left(rest: Rest, bucket: int, charge: float) -> float:
     """Return what the rest takes at least with a charge on board [J]; infinite if it cannot be."""
     visits = rest.energy.shape[1] - 1
@@ -265,7 +266,7 @@ class LabelStore(NamedTuple):
     lost: Floats  # (2,): least energy that what was left out leads to [J]; 1 if to a greater prize
 
 
-@inner
+@lean
 def _spend(label: Label, energy: float, seconds: float, full: float, floor: float) -> Label:
     """Drive or work; charges longer before it where less than `floor` is left. May end below."""
     left, time, slack = label.left - energy, label.time + seconds, label.slack
@@ -282,7 +283,7 @@ def _spend(label: Label, energy: float, seconds: float, full: float, floor: floa
     return Label(label.energy + energy, left, time, label.rate, slack, label.prize, label.load)
 
 
-@inner
+@lean
 def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
     """Wait for a window, charging meanwhile; a time after the window is a miss."""
     energy, left, time, slack = label.energy, label.left, label.time, label.slack
@@ -295,7 +296,7 @@ def _begin(label: Label, earliest: float, latest: float, idle: float) -> Label:
     return Label(energy, left, time, label.rate, slack, label.prize, label.load)
 
 
-@inner
+@lean
 def _charged(label: Label) -> Label:
     """Charge as long as may be."""
     left = label.left + label.rate * label.slack
@@ -303,12 +304,12 @@ def _charged(label: Label) -> Label:
     return Label(label.energy, left, time, 0.0, 0.0, label.prize, label.load)
 
 
-@inner
+@lean
 def _left_at(label: Label, time: float) -> float:
     return label.left + label.rate * min(max(time - label.time, 0.0), label.slack)
 
 
-@inner
+@lean
 def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float) -> bool:
     """Return whether a label is as good as another in every respect.
 
@@ -330,7 +331,7 @@ def _as_good(one: Label, other: Label, timed: bool, opening: float, idle: float)
     )
 
 
-@inner
+@lean
 def _label(store: LabelStore, k: int) -> Label:
     v = store.value[k]
     return Label(v[0], v[1], v[2], v[3], v[4], v[5], v[6])
@@ -350,7 +351,7 @@ def _with_room(store: LabelStore, count: int, most: int) -> LabelStore:
     )
 
 
-@inner
+@lean
 def _take_out(store: LabelStore, bucket: int, k: int, before: int) -> None:
     """Take a label out of its bucket; what followed from it stays."""
     if before < 0:
@@ -360,7 +361,7 @@ def _take_out(store: LabelStore, bucket: int, k: int, before: int) -> None:
     store.link[k, 3] = _GONE
 
 
-@inner
+@lean
 def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[float, bool]:
     """Return the least energy of an order of the known prize that a label leads to [J], or more."""
     prize, most = label.prize + ahead, label.left + label.rate * label.slack
@@ -378,7 +379,7 @@ def _promise(known: Known, bucket: int, label: Label, ahead: float) -> tuple[flo
     return least, more
 
 
-@inner
+@lean
 def _lose(store: LabelStore, promise: tuple[float, bool]) -> None:
     """Note what a label that is left out for want of room may have reached."""
     store.lost[0] = min(store.lost[0], promise[0])
@@ -386,7 +387,7 @@ def _lose(store: LabelStore, promise: tuple[float, bool]) -> None:
         store.lost[1] = 1.0
 
 
-@inner
+@lean
 def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
     """Return whether a label promises less than another."""
     if abs(one.prize - other.prize) > _EPSILON:
@@ -395,7 +396,7 @@ def _behind(one: Label, least: float, other: Label, other_least: float) -> bool:
     return mine > (other_least if np.isfinite(other_least) else _FAR + other.energy)
 
 
-@inner
+@lean
 def _keep(
     store: LabelStore, stages: Stages, known: Known, stage: int, place: int, new: Label, count: int
 ) -> bool:
@@ -413,17 +414,17 @@ def _keep(
     if count >= len(store.value):
         _lose(store, (least, more))
         return False
-    before, worst, before_worst, k = -1, -1, -1, store.head[bucket]
+    previous, worst, before_worst, k = -1, -1, -1, store.head[bucket]
     last, last_least = new, least
     while k >= 0:
         after, old = store.link[k, 3], _label(store, k)
         if _as_good(new, old, timed, opening, idle):
-            _take_out(store, bucket, k, before)
+            _take_out(store, bucket, k, previous)
         else:
             there += 1
             if _behind(old, store.value[k, 7], last, last_least):
-                last, last_least, worst, before_worst = old, store.value[k, 7], k, before
-            before = k
+                last, last_least, worst, before_worst = old, store.value[k, 7], k, previous
+            previous = k
         k = after
     if there >= stages.width:
         # as many labels as there may be: the one that promises least goes
@@ -441,7 +442,7 @@ def _keep(
     return True
 
 
-@inner
+@lean
 def _docked(problem: OrderProblem, here: Label, charger: int, kind: int) -> Label:
     """Begin to charge; after another charger: here only (0), there first (1), or not here (2)."""
     power, full = problem.charge_power[charger], problem.capacity[charger]
@@ -452,131 +453,169 @@ def _docked(problem: OrderProblem, here: Label, charger: int, kind: int) -> Labe
     return Label(new.energy, new.left, new.time, power, room, new.prize, new.load)
 
 
-@inner
+@lean
 def _priced(problem: OrderProblem, load: float) -> int:
     """Return which of the payloads that energies are known for stands for a payload."""
     return min(int(np.searchsorted(problem.loads, load - _MILLIGRAM)), len(problem.loads) - 1)
 
 
+@inner
+def _recharged(
+    problem: OrderProblem, stages: Stages, known: Known, store: LabelStore, count: int, stage: int,
+    stack: Ints,
+) -> tuple[LabelStore, int]:  # fmt: skip
+    """Return the labels, and how many, with those at chargers, which may lead to chargers again."""
+    n, m, timed = len(problem.option), len(problem.capacity), stages.pressing[stage]
+    size = 0
+    for place in range(1 + n + m):
+        k = store.head[stage * (1 + n + m) + place]
+        while k >= 0:
+            if size == len(stack):
+                stack = np.append(stack, np.empty(len(stack), np.int64))
+            stack[size] = k
+            size += 1
+            k = store.link[k, 3]
+    while size > 0:
+        size -= 1
+        k = stack[size]
+        if store.link[k, 3] == _GONE:
+            continue
+        here, at = _label(store, k), store.link[k, 1]
+        load = _priced(problem, here.load)
+        for charger in range(m):
+            place = 1 + n + charger
+            if place == at:
+                continue
+            for way in range(problem.energy.shape[1]):
+                spent = problem.energy[load, way, at, place]
+                if not np.isfinite(spent):
+                    continue
+                floor = problem.floor[load, way, at, place]
+                there = _spend(here, spent, problem.time[way, at, place], problem.full, floor)
+                if there.left < floor:
+                    continue
+                quicker = timed and there.slack > 0.0 and there.rate > problem.charge_power[charger]
+                for kind in range(3 if quicker else 1):
+                    new = _docked(problem, there, charger, kind)
+                    if not timed:
+                        new = _charged(new)
+                    store = _with_room(store, count, stages.most)
+                    if _keep(store, stages, known, stage, place, new, count):
+                        link = store.link
+                        link[count, 0], link[count, 1], link[count, 2] = k, place, way
+                        if size == len(stack):
+                            stack = np.append(stack, np.empty(len(stack), np.int64))
+                        stack[size] = count
+                        size += 1
+                        count += 1
+    return store, count
+
+
+class OrderEnd(NamedTuple):
+    """What an order comes to at its end."""
+
+    prize: float
+    energy: float  # [J]
+    time: float  # [s]
+
+
+@lean
+def _improves(end: OrderEnd, known: OrderEnd) -> bool:
+    """Return whether an order is of greater prize than another, or of the same and takes less."""
+    if not end.prize > known.prize - _EPSILON:
+        return False
+    rounding = loosely(known.energy) - known.energy
+    return (
+        end.prize > known.prize + _EPSILON
+        or end.energy < known.energy - rounding
+        or (end.energy <= known.energy + rounding and loosely(end.time) < known.time)
+    )
+
+
+class Advance(NamedTuple):
+    """How far the search is."""
+
+    known: Known  # the best order known
+    best: int  # the label that it comes from, or -1
+    store: LabelStore
+    labels: int  # number of labels
+
+
+@inner
+def _advanced(
+    problem: OrderProblem, stages: Stages, known: Known, best: int, store: LabelStore, count: int,
+    stage: int,
+) -> Advance:  # fmt: skip
+    """End with the labels of a stage, and do with each of them every task that may come next."""
+    n, ways = len(problem.option), problem.energy.shape[1]
+    places = 1 + n + len(problem.capacity)
+    for place in range(places):
+        k = store.head[stage * places + place]
+        while k >= 0:
+            here = _label(store, k)
+            load = _priced(problem, here.load)
+            energy, finish = problem.energy[load], problem.finish[load]
+            last = _spend(here, finish[place], problem.finish_time[place], problem.full, 0.0)
+            end = OrderEnd(here.prize, last.energy, last.time)
+            ends = last.left >= 0.0 and np.isfinite(last.energy)
+            if ends and _improves(end, OrderEnd(known.prize, known.energy, known.time)):
+                best = k
+                known = Known(end.prize, end.energy, end.time, known.same, known.more, known.beyond)
+            for o in range(n):
+                t = problem.option[o]
+                after, carried = stages.after[stage, t], here.load + problem.change[t]
+                if after < 0 or carried < -GRAM:
+                    continue
+                opens, closes = problem.window[t, 0], problem.window[t, 1]
+                for way in range(ways):
+                    spent = energy[way, place, 1 + o]
+                    if not np.isfinite(spent):
+                        continue
+                    lasts = problem.time[way, place, 1 + o]
+                    there = _spend(here, spent, lasts, problem.full, 0.0)
+                    if there.left < 0.0 or there.time > closes + _EPSILON:
+                        continue
+                    begun = _begin(there, opens, closes, problem.idle[o])
+                    floor = problem.floor[load, way, place, 1 + o]
+                    done = _spend(begun, problem.service[o], 0.0, problem.full, floor)
+                    if done.left < floor or done.time > closes + _EPSILON:
+                        continue
+                    done = Label(
+                        done.energy, done.left, done.time + problem.service_time[o], done.rate,
+                        done.slack, done.prize + problem.prize[t], carried,
+                    )  # fmt: skip
+                    if not stages.pressing[after]:
+                        done = _charged(done)
+                    if done.left + done.rate * done.slack < stages.need[1 + o] - _EPSILON:
+                        continue
+                    store = _with_room(store, count, stages.most)
+                    if _keep(store, stages, known, after, 1 + o, done, count):
+                        link = store.link
+                        link[count, 0], link[count, 1], link[count, 2] = k, 1 + o, way
+                        count += 1
+            k = store.link[k, 3]
+    return Advance(known, best, store, count)
+
+
 @njit
 def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
     """Find an order of greater prize than the one known, or of the same and less energy or time."""
-    n, m, ways = len(problem.option), len(problem.capacity), problem.energy.shape[1]
-    places = 1 + n + m
+    places = 1 + len(problem.option) + len(problem.capacity)
     store = LabelStore(
         np.empty((min(_FEW, stages.most), _FIELDS)),
         np.empty((min(_FEW, stages.most), 4), np.int64),
         np.full(len(stages.after) * places, -1, np.int64),
         np.array([np.inf, 0.0]),
     )
-    best, best_prize, best_energy, best_time = -1, known.prize, known.energy, known.time
-    count = 0
+    best, count, stack = -1, 0, np.empty(256, np.int64)
     start = Label(0.0, problem.budget, problem.start_time, 0.0, 0.0, 0.0, problem.payload)
     if _keep(store, stages, known, 0, 0, start, 0):
         store.link[0, 0], store.link[0, 1], store.link[0, 2] = -1, 0, 0
         count = 1
-    queue = np.empty(256, np.int64)
     for stage in range(len(stages.after)):
-        first, timed = stage * places, stages.pressing[stage]
-        # chargers may lead to chargers: their labels stay within the stage
-        waiting = 0
-        for place in range(places if m > 0 else 0):
-            k = store.head[first + place]
-            while k >= 0:
-                if waiting == len(queue):
-                    queue = np.append(queue, np.empty(len(queue), np.int64))
-                queue[waiting] = k
-                waiting += 1
-                k = store.link[k, 3]
-        while waiting > 0:
-            waiting -= 1
-            k = queue[waiting]
-            if store.link[k, 3] == _GONE:
-                continue
-            here, at = _label(store, k), store.link[k, 1]
-            load = _priced(problem, here.load)
-            energy = problem.energy[load]
-            for c in range(m):
-                place = 1 + n + c
-                if place == at:
-                    continue
-                for way in range(ways):
-                    spent = energy[way, at, place]
-                    if not np.isfinite(spent):
-                        continue
-                    floor = problem.floor[load, way, at, place]
-                    lasts = problem.time[way, at, place]
-                    there = _spend(here, spent, lasts, problem.full, floor)
-                    if there.left < floor:
-                        continue
-                    quicker = timed and there.slack > 0.0 and there.rate > problem.charge_power[c]
-                    for kind in range(3 if quicker else 1):
-                        new = _docked(problem, there, c, kind)
-                        if not timed:
-                            new = _charged(new)
-                        store = _with_room(store, count, stages.most)
-                        if _keep(store, stages, known, stage, place, new, count):
-                            link = store.link
-                            link[count, 0], link[count, 1], link[count, 2] = k, place, way
-                            if waiting == len(queue):
-                                queue = np.append(queue, np.empty(len(queue), np.int64))
-                            queue[waiting] = count
-                            waiting += 1
-                            count += 1
-        for place in range(places):
-            k = store.head[first + place]
-            while k >= 0:
-                here = _label(store, k)
-                prize, load = here.prize, _priced(problem, here.load)
-                energy, finish = problem.energy[load], problem.finish[load]
-                last = _spend(here, finish[place], problem.finish_time[place], problem.full, 0.0)
-                if last.left >= 0.0 and np.isfinite(last.energy):
-                    better = prize > best_prize + _EPSILON
-                    if not better and prize > best_prize - _EPSILON:
-                        rounding = loosely(best_energy) - best_energy
-                        better = last.energy < best_energy - rounding or (
-                            last.energy <= best_energy + rounding and loosely(last.time) < best_time
-                        )
-                    if better:
-                        best, best_prize = k, prize
-                        best_energy, best_time = last.energy, last.time
-                        known = Known(
-                            best_prize, best_energy, best_time, known.same, known.more,
-                            known.beyond,
-                        )  # fmt: skip
-                for o in range(n):
-                    t = problem.option[o]
-                    after, carried = stages.after[stage, t], here.load + problem.change[t]
-                    if after < 0 or carried < -GRAM:
-                        continue
-                    opens, closes = problem.window[t, 0], problem.window[t, 1]
-                    for way in range(ways):
-                        spent = energy[way, place, 1 + o]
-                        if not np.isfinite(spent):
-                            continue
-                        lasts = problem.time[way, place, 1 + o]
-                        there = _spend(here, spent, lasts, problem.full, 0.0)
-                        if there.left < 0.0 or there.time > closes + _EPSILON:
-                            continue
-                        begun = _begin(there, opens, closes, problem.idle[o])
-                        floor = problem.floor[load, way, place, 1 + o]
-                        done = _spend(begun, problem.service[o], 0.0, problem.full, floor)
-                        if done.left < floor or done.time > closes + _EPSILON:
-                            continue
-                        done = Label(
-                            done.energy, done.left, done.time + problem.service_time[o], done.rate,
-                            done.slack, done.prize + problem.prize[t], carried,
-                        )  # fmt: skip
-                        if not stages.pressing[after]:
-                            done = _charged(done)
-                        if done.left + done.rate * done.slack < stages.need[1 + o] - _EPSILON:
-                            continue
-                        store = _with_room(store, count, stages.most)
-                        if _keep(store, stages, known, after, 1 + o, done, count):
-                            link = store.link
-                            link[count, 0], link[count, 1], link[count, 2] = k, 1 + o, way
-                            count += 1
-                k = store.link[k, 3]
+        if len(problem.capacity) > 0:
+            store, count = _recharged(problem, stages, known, store, count, stage, stack)
+        known, best, store, count = _advanced(problem, stages, known, best, store, count, stage)
     length, k = 0, best
     while k > 0:
         length, k = length + 1, store.link[k, 0]
@@ -586,7 +625,7 @@ def search(problem: OrderProblem, stages: Stages, known: Known) -> BestOrder:
         length -= 1
         stops[length], driven[length] = store.link[k, 1], store.link[k, 2]
         k = store.link[k, 0]
-    bound = min(best_energy, store.lost[0])
+    bound = min(known.energy, store.lost[0])
     return BestOrder(
-        best >= 0, best_prize, best_energy, best_time, bound, store.lost[1] > 0.0, stops, driven,
-    )  # fmt: skip
+        best >= 0, known.prize, known.energy, known.time, bound, store.lost[1] > 0.0, stops, driven
+    )

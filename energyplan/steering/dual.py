@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import Floats, FloatTable, inner
+from energyplan.compilation import Floats, FloatTable, lean
 from energyplan.steering.static_words import HALF_PI, TWO_PI
 
 NARROW = 1e-9  # least width of the headings visited; a single one cannot hold a sideways dual
@@ -33,7 +33,7 @@ COARSE = 1e-3  # of the fraction of a ray; Newton's method refines it
 INSIDE, AT_LO, AT_HI = 0, -1, 1
 
 
-@inner
+@lean
 def least(q: float, m: Floats, g: Floats) -> float:
     """``G(q)``: least of ``g - m q`` over the corners."""
     best = math.inf
@@ -42,7 +42,7 @@ def least(q: float, m: Floats, g: Floats) -> float:
     return best
 
 
-@inner
+@lean
 def _integral(
     rho: float, psi: float, a: float, b: float, m: Floats, g: Floats, q: Floats,
 ) -> tuple[float, float, float]:  # fmt: skip
@@ -71,7 +71,7 @@ def _integral(
     return cost, fx, fy
 
 
-@inner
+@lean
 def dual_value(
     px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable,
@@ -89,7 +89,7 @@ def dual_value(
     return cost + px * rx + py * ry, rx, ry
 
 
-@inner
+@lean
 def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     """Largest ``e.u`` over the headings visited, and where it is."""
     if (math.atan2(ey, ex) - lo) % TWO_PI <= hi - lo:
@@ -99,7 +99,7 @@ def _reach(ex: float, ey: float, lo: float, hi: float) -> tuple[float, int]:
     return (at_hi, AT_HI) if at_hi > at_lo else (at_lo, AT_LO)
 
 
-@inner
+@lean
 def _boundary(
     t: float, stretch: float, lo: float, hi: float, af: float, ab: float
 ) -> tuple[float, float, int, int]:
@@ -114,7 +114,7 @@ def _boundary(
     return scale * ex, scale * ey, 1, where
 
 
-@inner
+@lean
 def between(a: float, b: float, f_a: float, f_b: float) -> float:
     """Next point of a bracketed root search: regula falsi (Illinois), or the middle."""
     middle = 0.5 * (a + b)
@@ -124,7 +124,7 @@ def between(a: float, b: float, f_a: float, f_b: float) -> float:
     return x if min(a, b) < x < max(a, b) else middle
 
 
-@inner
+@lean
 def _ray(
     px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable, tolerance: float,
@@ -144,7 +144,7 @@ def _ray(
     return 0.5 * (low + high)
 
 
-@inner
+@lean
 def _curvature(
     rho: float, psi: float, a: float, b: float, m: Floats, q: Floats
 ) -> tuple[float, float, float]:
@@ -166,7 +166,7 @@ def _curvature(
     return xx, xy, yy
 
 
-@inner
+@lean
 def _interior(
     px: float, py: float, dx: float, dy: float, lo: float, hi: float, eta: float, left: FloatTable,
     right: FloatTable,
@@ -202,13 +202,13 @@ def _interior(
     return value, px, py, math.hypot(rx, ry)
 
 
-@inner
+@lean
 def _inside(px: float, py: float, lo: float, hi: float, af: float, ab: float) -> bool:
     """Return whether p satisfies the constraints."""
     return _reach(px, py, lo, hi)[0] <= af and _reach(-px, -py, lo, hi)[0] <= ab
 
 
-@inner
+@lean
 def corner_dual(
     dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
@@ -226,7 +226,7 @@ def corner_dual(
     return value, px, py, (rx * s1 - ry * c1) / det, (ry * c0 - rx * s0) / det
 
 
-@inner
+@lean
 def maximise(
     dx: float, dy: float, lo: float, hi: float, eta: float, af: float, ab: float, left: FloatTable,
     right: FloatTable, tolerance: float,

@@ -18,7 +18,7 @@ from __future__ import annotations
 from math import acos, atan2, cos, hypot, inf, pi, sin, sqrt
 from typing import NamedTuple
 
-from energyplan.compilation import Floats, FloatTable, inner, njit
+from energyplan.compilation import Floats, FloatTable, lean, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import ANGLE, Pose
 from energyplan.steering.kernels import (
@@ -44,7 +44,7 @@ class Forward(NamedTuple):
     psi: float  # 9 where the sweep alone leads there
 
 
-@inner
+@lean
 def _without_excursion(x: float, y: float, eta: float, base: float, best: Forward) -> Forward:
     """Return the cheapest word with one line in the sweep or with one at both ends, or the best."""
     k, s = cos(eta), sin(eta)
@@ -77,7 +77,7 @@ def _without_excursion(x: float, y: float, eta: float, base: float, best: Forwar
     return best
 
 
-@inner
+@lean
 def _root(far: float, m: float, c: float) -> float:
     """Length ``L`` at which ``L u + m u(tau) - 2 n`` is so far, with ``L tan(tau) = 2 c``."""
     low, high, length = 0.0, far, far
@@ -99,13 +99,13 @@ def _root(far: float, m: float, c: float) -> float:
     return length
 
 
-@inner
+@lean
 def _angle(q: float, rest: float) -> float:
     """Return the angle whose sine is q, which is so much below 1: exact near a right angle too."""
     return atan2(q, sqrt(max(rest, 0.0) * (1.0 + q)))
 
 
-@inner
+@lean
 def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: Forward) -> Forward:
     """Return the cheapest word with a line at the upper end (lower: `side` -1), or the best."""
     k, s, turn = cos(eta), sin(eta), 1.0 + c
@@ -171,7 +171,7 @@ def _at_upper_end(x: float, y: float, eta: float, c: float, side: float, best: F
     return best
 
 
-@inner
+@lean
 def _ended(
     cost: float, eta: float, h: float, other: float, length: float, psi: float, side: float,
     best: Forward,
@@ -184,7 +184,7 @@ def _ended(
     return Forward(cost, -h, eta, length, other, 0.0, -psi)
 
 
-@inner
+@lean
 def _beyond_both_ends(x: float, y: float, eta: float, c: float, best: Forward) -> Forward:
     """Return the cheapest word with excursions beyond both ends, or the best so far."""
     k, s, turn = cos(eta), sin(eta), 1.0 + c
@@ -210,7 +210,7 @@ def _beyond_both_ends(x: float, y: float, eta: float, c: float, best: Forward) -
     return best
 
 
-@inner
+@lean
 def best_forward(x: float, y: float, eta: float, c: float, bound: float) -> Forward:
     """Return the cheapest word for one sweep; its cost is `bound` where there is none below."""
     base = 2.0 * (1.0 + c) * eta
@@ -226,7 +226,7 @@ def best_forward(x: float, y: float, eta: float, c: float, bound: float) -> Forw
     return _beyond_both_ends(x, y, eta, c, best)
 
 
-@inner
+@lean
 def _part(start: float, stop: float, psi: float, ds: Floats, dtheta: Floats, n: int) -> int:
     """Append a sweep of headings that moves ahead where ``cos(heading - psi) > 0``."""
     side = 1.0 if stop >= start else -1.0
@@ -245,7 +245,7 @@ def _part(start: float, stop: float, psi: float, ds: Floats, dtheta: Floats, n: 
     return n
 
 
-@inner
+@lean
 def _written(word: Forward, x: float, y: float, eta: float, ds: Floats, dtheta: Floats) -> int:
     """Write the segments of a word, in its units, for a sweep to the left."""
     if word.psi == 9.0:
@@ -274,7 +274,7 @@ class _Two(NamedTuple):
     right: Forward  # in a mirror, from the opposite middle heading; the better one if it is finite
 
 
-@inner
+@lean
 def _cheapest(dx: float, dy: float, theta0: float, theta1: float, cost: StaticSteering) -> _Two:
     track = cost.half_track
     seen = between_poses(dx, dy, theta0, theta1, track, cost.longitudinal, cost.lateral)
@@ -284,7 +284,7 @@ def _cheapest(dx: float, dy: float, theta0: float, theta1: float, cost: StaticSt
     return _Two(seen, left, right)
 
 
-@inner
+@lean
 def forward_energy(
     dx: float, dy: float, theta0: float, theta1: float, cost: StaticSteering
 ) -> float:
@@ -323,14 +323,14 @@ def forward_path(
     return n
 
 
-@inner
+@lean
 def _turned(side: float, before: float, after: float) -> float:
     """Return the turn to one side from a heading to another [rad], in [0, 2 pi)."""
     turn = (side * (after - before)) % TWO_PI
     return 0.0 if turn > TWO_PI - ANGLE else turn
 
 
-@inner
+@lean
 def arcs_forwards(pose: Pose, to: Pose, cost: StaticSteering, ds: Floats, dtheta: Floats) -> int:
     """Write the cheapest of the motions of arcs of one radius with a line or an arc between."""
     radius, best = cost.half_track, inf

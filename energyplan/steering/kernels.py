@@ -22,7 +22,7 @@ import math
 from math import cos, sin
 from typing import NamedTuple
 
-from energyplan.compilation import Floats, FloatTable, inner, njit
+from energyplan.compilation import Floats, FloatTable, lean, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import ANGLE, Pose
 from energyplan.steering import static_words as words
@@ -40,7 +40,7 @@ class RelativePose(NamedTuple):
     turn: float  # turn to the left [rad], in [0, 2 pi)
 
 
-@inner
+@lean
 def between_poses(
     dx: float, dy: float, theta0: float, theta1: float, half_track: float, longitudinal: float,
     lateral: float,
@@ -93,7 +93,7 @@ class Switches(NamedTuple):
     z2: float
 
 
-@inner
+@lean
 def free_switches(x: float, y: float, eta: float) -> Switches:
     """Return the pivots that reach ``(x, y)`` within the sweep: a chord gives both switches."""
     best, choice = math.inf, Switches(1.0, 0.0, 0.0)
@@ -111,7 +111,7 @@ def free_switches(x: float, y: float, eta: float) -> Switches:
     return choice
 
 
-@inner
+@lean
 def sweep(
     start: float, stop: float, z1: float, z2: float, sign: float, ds: Floats, dtheta: Floats,
     n: int,
@@ -134,7 +134,7 @@ def sweep(
     return n
 
 
-@inner
+@lean
 def straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     """Append a straight line unless its length is zero."""
     if length == 0.0:
@@ -143,7 +143,7 @@ def straight(length: float, ds: Floats, dtheta: Floats, n: int) -> int:
     return n + 1
 
 
-@inner
+@lean
 def _word_path(
     word: Word, x: float, y: float, eta: float, ds: Floats, dtheta: Floats,
 ) -> int:  # fmt: skip
@@ -216,7 +216,7 @@ def steer_path(
     return n
 
 
-@inner
+@lean
 def chord_factor(dtheta: float) -> float:
     """Length of the chord of an arc, in units of the arc's length."""
     half = 0.5 * dtheta

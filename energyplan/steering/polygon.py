@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from energyplan.compilation import Floats, FloatTable, inner, njit
+from energyplan.compilation import Floats, FloatTable, lean, njit
 from energyplan.cost.steering import PolygonSteering
 from energyplan.path import ANGLE, Pose
 from energyplan.steering.dual import (
@@ -30,7 +30,7 @@ from energyplan.steering.kernels import arc_end, between_poses
 from energyplan.steering.static_words import HALF_PI, TWO_PI
 
 
-@inner
+@lean
 def _pays(
     px: float, py: float, end: float, outward: float, length: float, left: FloatTable,
     right: FloatTable,
@@ -51,7 +51,7 @@ def _pays(
     return min(max(math.log(gain / cost), -60.0), 60.0)
 
 
-@inner
+@lean
 def _extend(
     dx: float, dy: float, lo: float, hi: float, eta: float, af: float, ab: float, left: FloatTable,
     right: FloatTable, upper: bool,
@@ -75,7 +75,7 @@ def _extend(
     return (lo, end) if upper else (end, hi)
 
 
-@inner
+@lean
 def _both(
     dx: float, dy: float, lo: float, hi: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
@@ -101,7 +101,7 @@ def _both(
     return lo, hi, False
 
 
-@inner
+@lean
 def _gains(
     dx: float, dy: float, a: float, b: float, eta: float, side: int, af: float, ab: float,
     left: FloatTable, right: FloatTable,
@@ -112,7 +112,7 @@ def _gains(
     return (_pays(px, py, lo, -1.0, at_lo, left, right), _pays(px, py, hi, 1.0, at_hi, left, right))
 
 
-@inner
+@lean
 def best_extent(
     dx: float, dy: float, eta: float, af: float, ab: float, left: FloatTable, right: FloatTable,
     bound: float,
@@ -175,7 +175,7 @@ def best_extent(
 CLOSED = 1e-11  # straight segments below this length would only make up for rounding
 
 
-@inner
+@lean
 def polygon_energy(
     dx: float, dy: float, theta0: float, theta1: float, cost: PolygonSteering
 ) -> float:
@@ -201,7 +201,7 @@ def polygon_energies(
         )
 
 
-@inner
+@lean
 def _corner_at(q: float, table: FloatTable) -> int:
     """Index of the cheapest corner where ``p.u = q``."""
     best, index = math.inf, 0
@@ -212,7 +212,7 @@ def _corner_at(q: float, table: FloatTable) -> int:
     return index
 
 
-@inner
+@lean
 def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTable) -> float:
     """Return where, from a heading towards `stop`, another corner becomes the cheapest."""
     rho, psi = math.hypot(px, py), math.atan2(py, px)
@@ -231,7 +231,7 @@ def _next_edge(heading: float, stop: float, px: float, py: float, table: FloatTa
     return heading + side * nearest if nearest < abs(stop - heading) else stop
 
 
-@inner
+@lean
 def _sweep(
     start: float, stop: float, px: float, py: float, table: FloatTable, ds: Floats, dtheta: Floats,
     n: int,
@@ -249,7 +249,7 @@ def _sweep(
     return n
 
 
-@inner
+@lean
 def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
     """Where the first n segments lead from the heading -eta."""
     here = Pose(0.0, 0.0, -eta)
@@ -258,7 +258,7 @@ def _travel(eta: float, ds: Floats, dtheta: Floats, n: int) -> Pose:
     return here
 
 
-@inner
+@lean
 def _schedule_path(
     x: float, y: float, eta: float, lo: float, hi: float, af: float, ab: float, left: FloatTable,
     right: FloatTable, ds: Floats, dtheta: Floats,

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from energyplan.compilation import inner
+from energyplan.compilation import lean
 from energyplan.path import ANGLE, ROUNDING
 
 TWO_PI = 2.0 * math.pi
@@ -43,7 +43,7 @@ class Word(NamedTuple):
     q3: float  # third number of the word, a heading [rad] or a length in half slip tracks
 
 
-@inner
+@lean
 def _cubic(c: float, k: float, N: float) -> float:
     """Root ``w >= 1`` of the excursion equation ``c^2 w^3 + k c w^2 + B w - k (1 + c) = 0``.
 
@@ -62,7 +62,7 @@ def _cubic(c: float, k: float, N: float) -> float:
     return max(w, 1.0)
 
 
-@inner
+@lean
 def free(x: float, y: float, eta: float) -> bool:
     """Return whether pivots within the sweep reach ``(x, y)`` without any straight driving."""
     ax, ay = abs(x), abs(y)
@@ -93,7 +93,7 @@ class Sweep(NamedTuple):
     least: float  # no word costs less
 
 
-@inner
+@lean
 def _without_excursion(at: Sweep, best: Word) -> Word:
     """Return the cheapest word of the sweep alone, or the best so far."""
     x, y, sx, sy, eta, k, g, base = at.x, at.y, at.sx, at.sy, at.eta, at.k, at.g, at.base
@@ -133,7 +133,7 @@ def _without_excursion(at: Sweep, best: Word) -> Word:
     return best
 
 
-@inner
+@lean
 def _beyond_one_end(at: Sweep, best: Word) -> Word:
     """Return the cheapest word with an excursion beyond the upper end, or the best so far."""
     x, y, sx, sy, eta, k, g, c, N, base, least = at
@@ -188,7 +188,7 @@ def _beyond_one_end(at: Sweep, best: Word) -> Word:
     return best
 
 
-@inner
+@lean
 def _beyond_both_ends(at: Sweep, best: Word) -> Word:
     """Return the cheapest word with excursions beyond both ends, or the best so far."""
     x, y, sx, sy, eta, k, g, c, N, _, least = at
@@ -216,7 +216,7 @@ def _beyond_both_ends(at: Sweep, best: Word) -> Word:
     return best
 
 
-@inner
+@lean
 def best_word(x: float, y: float, eta: float, c: float, bound: float) -> Word:
     """Return the cheapest word for one sweep."""
     base = 2.0 * (1.0 + c) * eta

@@ -28,6 +28,7 @@ from energyplan.compilation import (
     ShortIntTable,
     SingleTable,
     inner,
+    lean,
     njit,
 )
 
@@ -70,7 +71,7 @@ class InCells(NamedTuple):
     column: float
 
 
-@inner
+@lean
 def in_cells(space: Space, x: float, y: float) -> InCells:
     """Return where a point of the world lies in the grid: cell (i, j) from (i, j) to (i+1, j+1)."""
     dx = x - space.x
@@ -151,7 +152,7 @@ def _rectangle_free(
     return True
 
 
-@inner
+@lean
 def _box_free(space: Space, box: Body, x: float, y: float, yaw: float) -> bool:
     """Return whether a box in the frame of a pose in the world is free."""
     scale = 1.0 / space.resolution
@@ -183,7 +184,7 @@ def poses_free(space: Space, body: Body, poses: AnyTable) -> Flags:
     return out
 
 
-@inner
+@lean
 def _swept_box(body: Body, centre_x: float, centre_y: float, half: float) -> Body:
     """Return the bounding box of a body that turns by up to `half` either way about a centre."""
     x_min = inf

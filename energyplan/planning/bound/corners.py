@@ -20,6 +20,7 @@ from energyplan.compilation import (
     ShortInts,
     ShortIntTable,
     inner,
+    lean,
     njit,
 )
 from energyplan.planning.bound.line import (
@@ -35,7 +36,7 @@ from energyplan.planning.bound.line import (
     to_end,
 )
 from energyplan.planning.bound.outline import Links, Outline, linked, side, sight
-from energyplan.planning.space.queues import angle_between, pop, push, with_room
+from energyplan.planning.space.queues import Open, angle_between, no_open, pop, push, with_room
 from energyplan.terrain.collision import Body, Space
 
 
@@ -61,7 +62,7 @@ class Ways(NamedTuple):
     links: Links  # what is known of the corners now
 
 
-@inner
+@lean
 def _seen_from(
     space: Space, outline: Outline, x: float, y: float, other_x: float, other_y: float,
     limit: float, out: Floats,
@@ -104,23 +105,20 @@ def ways_to_goal(
     steps = _seen_from(space, outline, ux, uy, ends.goal_x, ends.goal_y, limit, from_start)
     steps += _seen_from(space, outline, ends.goal_x, ends.goal_y, ux, uy, limit, at_goal)
     direct = sight(space, outline, ux, uy, ends.goal_x, ends.goal_y).free
-    heap_f = np.empty(1 << 12)
-    heap_node = np.empty(1 << 12, np.int32)
-    size = 0
+    queue = no_open(1 << 12)
     for v in range(n):
         expanded[v] = False
         to_goal[v] = at_goal[v]
         f = at_goal[v] + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
         if f < limit:
-            heap_f, heap_node = with_room(heap_f, heap_node, size)
-            size = push(heap_f, heap_node, size, f, v)
+            queue = with_room(queue)
+            push(queue, f, v)
     least = hypot(ends.goal_x - ux, ends.goal_y - uy) if direct else inf
     frontier = limit
     final = True
-    while size > 0:
-        f = heap_f[0]
-        at = int(heap_node[0])
-        size = pop(heap_f, heap_node, size)
+    while queue.size[0] > 0:
+        f = queue.f[0]
+        at = pop(queue)
         if expanded[at]:
             continue
         if steps > effort:
@@ -145,8 +143,8 @@ def ways_to_goal(
             to_goal[v] = there
             f = there + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
             if f < limit:
-                heap_f, heap_node = with_room(heap_f, heap_node, size)
-                size = push(heap_f, heap_node, size, f, v)
+                queue = with_room(queue)
+                push(queue, f, v)
     for v in range(n):
         if not expanded[v]:
             away = hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
@@ -169,7 +167,7 @@ class TautLine(NamedTuple):
     about: int  # side of the obstacle at its head, 0 at the goal
 
 
-@inner
+@lean
 def _line(outline: Outline, ends: DiscEnds, tail: int, head: int) -> TautLine:
     """Return the line between two corners."""
     n = len(outline.point)
@@ -238,6 +236,16 @@ def _more_lines(lines: Searched) -> Searched:
 
 
 @inner
+def _with_line(lines: Searched, row: int, tail: int, head: int) -> Searched:
+    """Return the lines with another one."""
+    if row == len(lines.tail):
+        lines = _more_lines(lines)
+    lines.tail[row] = tail
+    lines.head[row] = head
+    return lines
+
+
+@lean
 def _lower(before: Floats, cost: Floats, to_goal: Floats) -> float:
     """Lower the costs before a line; return the least cost to the goal of those that fell."""
     better = inf
@@ -249,10 +257,12 @@ def _lower(before: Floats, cost: Floats, to_goal: Floats) -> float:
 
 
 @inner
-def _unused(count: int, used: ShortInts) -> ShortInts:
-    """Return numbers of lines, -1 where none is: first those in use."""
-    out = np.empty(count, np.int32)
-    for k in range(count):
+def _long_enough(used: ShortInts, length: int) -> ShortInts:
+    """Return numbers of lines, so many at least: -1 where none is, first those in use."""
+    if length <= len(used):
+        return used
+    out = np.empty(length, np.int32)
+    for k in range(length):
         out[k] = used[k] if k < len(used) else -1
     return out
 
@@ -316,57 +326,82 @@ class Least(NamedTuple):
     steps: float  # steps that it took
 
 
+@inner
+def _turning(rates: Rates, heading: float) -> Floats:
+    """Return the cost of turning between a heading and those at the nodes around the circle."""
+    cost = np.empty(HEADINGS)
+    for j in range(HEADINGS):
+        cost[j] = rates.radian * angle_between(rates.goal + j * 2.0 * pi / HEADINGS, heading)
+    return cost
+
+
+@lean
+def _least_sum(cost: Floats, to_goal: Floats) -> float:
+    """Return the least sum of two costs by heading."""
+    lowest = inf
+    for j in range(HEADINGS):
+        lowest = min(lowest, cost[j] + to_goal[j])
+    return lowest
+
+
+@lean
+def _goes_on(last: TautLine, line: TautLine) -> bool:
+    """Return whether a taut path may go on along a line: around the obstacle at its tail alone."""
+    bend = (last.dx * line.dy - last.dy * line.dx) * last.about
+    return bend >= -1e-9 * line.length and line.behind == last.about
+
+
+@lean
+def _in_sight(ways: Ways, at: int, to: int) -> bool:
+    """Return whether a line from the start, or to the goal, is not known to be blocked."""
+    n = len(ways.at_goal)
+    if at == n:
+        return bool(ways.from_start[to] < inf)
+    return to <= n or ways.at_goal[at] < inf
+
+
+@lean
+def _pop_waiting(queue: Open, waiting: Flags) -> tuple[int, float]:
+    """Return the most promising line that waits, which it does no longer, and its key; or -1."""
+    f = inf
+    while queue.size[0] > 0:
+        f = queue.f[0]
+        row = pop(queue)
+        if waiting[row]:
+            waiting[row] = False
+            return row, f
+    return -1, f
+
+
 @njit
 def least_over_corners(
-    space: Space,
-    body: Body,
-    outline: Outline,
-    paid: Flags,
-    ends: DiscEnds,
-    ways: Ways,
-    rates: Rates,
-    limit: float,
-    effort: float,
-    steer: bool,
-) -> Least:
+    space: Space, body: Body, outline: Outline, paid: Flags, ends: DiscEnds, ways: Ways,
+    rates: Rates, limit: float, effort: float, steer: bool,
+) -> Least:  # fmt: skip
     """Return a lower bound on the cost of going from start to goal, at most `limit`.
 
     A* over lines between corners, each with its costs by heading. A taut path turns at a corner
     only around the obstacle there. The rest of the cost is estimated by the shortest path.
     """
     n = len(outline.point)
-    start = n
-    goal = n + 1
+    start, goal = n, n + 1
     tables = no_tables()
-    to_goal = np.empty(HEADINGS)
-    cost = np.empty(HEADINGS)
-    for j in range(HEADINGS):
-        heading = rates.goal + j * 2.0 * pi / HEADINGS
-        to_goal[j] = rates.radian * angle_between(heading, rates.goal)
-        if rates.any_heading:
-            to_goal[j] = 0.0
-        cost[j] = rates.radian * angle_between(heading, rates.start)
-    if ways.direct:
-        limit = min(limit, rates.direct)
+    cost = _turning(rates, rates.start)
+    to_goal = np.zeros(HEADINGS) if rates.any_heading else _turning(rates, rates.goal)
+    limit = min(limit, rates.direct) if ways.direct else limit
     links = ways.links
     lines = _no_lines(256)
-    none = np.empty(0, np.int32)
-    of_link = _unused(len(links.seen), none)  # row of the line along each link
-    of_goal = _unused(n, none)  # row of the line from each corner to the goal
-    heap_f = np.empty(1 << 12)
-    heap_row = np.empty(1 << 12, np.int32)
-    count = 0
-    size = 0
+    # row of the line from each corner to the goal, then of the line along each link
+    row_of = _long_enough(np.empty(0, np.int32), n + len(links.seen))
+    queue = no_open(1 << 12)
+    rows = 0
     steps = 0.0
     last = TautLine(start, start, ends.start_x, ends.start_y, 0.0, 0.0, 0.0, 0, 0)
     while True:
         # lower the costs before the lines that go on from the end of the last one
         at = last.head
-        lowest = inf
-        for j in range(HEADINGS):
-            lowest = min(lowest, cost[j] + to_goal[j])
-        many = 0
-        begin = 0
+        lowest = _least_sum(cost, to_goal)
+        many = begin = 0
         if at == goal:
             limit = min(limit, lowest if rates.any_heading else cost[0])
         elif lowest < limit and at == start:
@@ -376,56 +411,38 @@ def least_over_corners(
             if not paid[at]:
                 paid[at] = True
                 steps += links.steps[at]
-            if len(of_link) < len(links.seen):
-                of_link = _unused(len(links.seen), of_link)
+            row_of = _long_enough(row_of, n + len(links.seen))
             begin = int(links.first[at])
             many = links.number[at] + 1
         steps += 10.0 * many
         for i in range(many):
             # from a corner the last line leads to the goal; from the start that is known already
             to = i if at == start else goal if i == many - 1 else int(links.seen[begin + i])
-            if (at == start and ways.from_start[to] == inf) or (
-                to == goal and ways.at_goal[at] == inf
-            ):
+            if not _in_sight(ways, at, to):
                 continue
             line = _line(outline, ends, at, to)
             rest = rates.metre * (line.length + (0.0 if to == goal else ways.to_goal[to]))
-            if lowest + rest >= limit:
+            if lowest + rest >= limit or (at != start and not _goes_on(last, line)):
                 continue
-            bend = (last.dx * line.dy - last.dy * line.dx) * last.about
-            if at != start and (bend < -1e-9 * line.length or line.behind != last.about):
-                continue
-            row = int(-1 if at == start else of_goal[at] if to == goal else of_link[begin + i])
+            slot = at if to == goal else n + begin + i
+            row = -1 if at == start else int(row_of[slot])
             if row < 0:
-                if count == len(lines.tail):
-                    lines = _more_lines(lines)
-                row = count
-                count += 1
-                if to == goal:
-                    of_goal[at] = row
-                elif at != start:
-                    of_link[begin + i] = row
-                lines.tail[row] = at
-                lines.head[row] = to
+                row = rows
+                rows += 1
+                lines = _with_line(lines, row, at, to)
+                if at != start:
+                    row_of[slot] = row
             steps += 300.0
             f = _lower(lines.before[row], cost, to_goal) + rest
             if f < limit:
-                heap_f, heap_row = with_room(heap_f, heap_row, size)
+                queue = with_room(queue)
                 lines.waiting[row] = True
-                size = push(heap_f, heap_row, size, f, row)
-        # expand the most promising line that waits
-        row = -1
-        f = limit
-        while size > 0 and row < 0:
-            f = heap_f[0]
-            if lines.waiting[heap_row[0]]:
-                row = int(heap_row[0])
-            size = pop(heap_f, heap_row, size)
+                push(queue, f, row)
+        row, f = _pop_waiting(queue, lines.waiting)
         if row < 0 or f >= limit:
             return Least(limit, True, links, steps)
         if steps > effort:
             return Least(f, False, links, steps)
-        lines.waiting[row] = False
         last = _line(outline, ends, int(lines.tail[row]), int(lines.head[row]))
         cost, more = _past_line(
             space, body, outline, ways, rates, lines, row, last, to_goal, limit, steer, tables

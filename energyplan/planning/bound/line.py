@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Flags, Floats, FloatTable, inner
+from energyplan.compilation import Flags, Floats, FloatTable, inner, lean
 from energyplan.cost.steering import StaticSteering
 from energyplan.planning.bound.outline import Outline
 from energyplan.planning.settings import GATES
@@ -103,7 +103,7 @@ class Rates(NamedTuple):
     any_heading: bool = False  # whether any heading will do at the goal
 
 
-@inner
+@lean
 def spread(cost: Floats, turn: float) -> None:
     """Lower each node's cost to that of turning there from another node, at `turn` a node."""
     n = len(cost)
@@ -119,7 +119,7 @@ def spread(cost: Floats, turn: float) -> None:
         cost[j] = best
 
 
-@inner
+@lean
 def _least(cost: Floats) -> float:
     best = inf
     for j in range(len(cost)):
@@ -177,7 +177,7 @@ def along_line(
     return out
 
 
-@inner
+@lean
 def pass_gate(cost: Floats, closed: Flags, turn: float) -> None:
     """Raise the cost of the headings that a gate does not let through."""
     for j in range(len(cost)):
@@ -211,7 +211,7 @@ class Reached(NamedTuple):
     steps: float  # steps that finding it took
 
 
-@inner
+@lean
 def _headway(angle: float) -> float:
     """Return the integral of the absolute cosine from zero to an angle."""
     half_turns = floor(angle / pi + 0.5)
@@ -239,7 +239,7 @@ def no_tables() -> Beyond:
     )
 
 
-@inner
+@lean
 def _outward(heading: float, step: float, many: int, greatest: Floats, headway: Floats) -> None:
     """Fill in the tables of one force and one end."""
     c = cos(heading)
@@ -350,7 +350,7 @@ def to_gate(
     return Reached(max(best, 0.0), steps)
 
 
-@inner
+@lean
 def _slack(rates: Rates) -> float:
     """Upper bound of the discretisation error between two heading samples."""
     return (rates.radian + rates.steering.per_radian) * pi / HEADINGS
@@ -379,7 +379,7 @@ def from_start(
     return steps
 
 
-@inner
+@lean
 def to_end(
     cost: Floats, section: Section, to_goal: Floats, limit: float, rates: Rates, tables: Beyond
 ) -> Reached:

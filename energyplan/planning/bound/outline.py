@@ -11,10 +11,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, lean, njit
 from energyplan.path import FloatArray
 from energyplan.planning.settings import OUTLINES
-from energyplan.planning.space.queues import longer_ints, pop, push, with_room
+from energyplan.planning.space.queues import longer_ints, no_open, pop, push, with_room
 from energyplan.terrain import OccupancyGrid
 from energyplan.terrain.collision import Space, in_cells
 from energyplan.terrain.updates import tables_of
@@ -54,7 +54,7 @@ def no_links(corners: int) -> Links:
     )
 
 
-@inner
+@lean
 def _square(place: float, cells: int) -> int:
     """Row or column of the square at a place [cells], the nearest one outside the map."""
     return min(max(floor(place / OUTLINES.bucket), 0), (cells - 1) // OUTLINES.bucket)
@@ -155,7 +155,7 @@ def gaps(space: Space, radius: float, inside: float) -> FloatTable:
     return out[:count].copy()
 
 
-@inner
+@lean
 def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     """Side of a line through a corner on which the obstacle lies: 1 left, -1 right, 0 both."""
     x = outline.point[k, 0]
@@ -169,7 +169,7 @@ def side(outline: Outline, k: int, ux: float, uy: float) -> int:
     return 0
 
 
-@inner
+@lean
 def _crosses(
     outline: Outline, k: int, ax: float, ay: float, bx: float, by: float, ux: float, uy: float
 ) -> bool:
@@ -197,7 +197,7 @@ class Sight(NamedTuple):
     ball: float  # radius of a disc there that lies within the outline; 0 at an edge [m]
 
 
-@inner
+@lean
 def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: float) -> Sight:
     """Look along a line, until it crosses an edge of the outline; touching is no crossing."""
     rows, columns = space.clearance.shape
@@ -239,7 +239,7 @@ def sight(space: Space, outline: Outline, ax: float, ay: float, bx: float, by: f
     return Sight(steps, True, -1, 0.0, 0.0)
 
 
-@inner
+@lean
 def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
     """Note that nothing is seen beyond a distance in the directions from `begin` to `end` [rad]."""
     n = len(depth)
@@ -249,7 +249,7 @@ def _hide(depth: Floats, begin: float, end: float, beyond: float) -> None:
         depth[k % n] = min(depth[k % n], beyond)
 
 
-@inner
+@lean
 def _hidden_by(outline: Outline, met: Sight, x: float, y: float, dx: float, dy: float,
                depth: Floats) -> None:  # fmt: skip
     """Note what cannot be seen from a point, after something was met in one direction."""
@@ -284,9 +284,7 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
     depth = np.empty(OUTLINES.directions)
     for j in range(OUTLINES.directions):
         depth[j] = inf
-    heap_f = np.empty(256)
-    heap_node = np.empty(256, np.int32)
-    size = 0
+    queue = no_open(256)
     steps = float(n)
     for v in range(n):
         dx = outline.point[v, 0] - x
@@ -296,13 +294,12 @@ def linked(space: Space, outline: Outline, links: Links, k: int) -> Links:
         length = hypot(dx, dy)
         if v == k or length < 1e-12:
             continue
-        heap_f, heap_node = with_room(heap_f, heap_node, size)
-        size = push(heap_f, heap_node, size, length, v)
+        queue = with_room(queue)
+        push(queue, length, v)
     begin = used
-    while size > 0:
-        length = heap_f[0]
-        v = int(heap_node[0])
-        size = pop(heap_f, heap_node, size)
+    while queue.size[0] > 0:
+        length = queue.f[0]
+        v = pop(queue)
         steps += 10.0
         dx = outline.point[v, 0] - x
         dy = outline.point[v, 1] - y

@@ -16,7 +16,7 @@ from energyplan.compilation import FlagTable, FloatTable, njit
 from energyplan.path import FloatArray
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.prices import remembered
-from energyplan.planning.space.queues import pop, push, with_room
+from energyplan.planning.space.queues import no_open, pop, push, with_room
 from energyplan.terrain import OccupancyGrid, SurfaceMap
 from energyplan.terrain.surfaces import NOT_SLOW, SlowAreas
 
@@ -143,14 +143,12 @@ def least_steps(
     for r in range(rows):
         for c in range(columns):
             reached[r, c] = np.inf
-    heap_f = np.empty(1 << 12)
-    heap_node = np.empty(1 << 12, np.int32)
+    queue = no_open(1 << 12)
     reached[row, column] = 0.0
-    size = push(heap_f, heap_node, 0, 0.0, row * columns + column)
-    while size > 0:
-        sum_so_far = heap_f[0]
-        node = int(heap_node[0])
-        size = pop(heap_f, heap_node, size)
+    push(queue, 0.0, row * columns + column)
+    while queue.size[0] > 0:
+        sum_so_far = queue.f[0]
+        node = pop(queue)
         r = node // columns
         c = node % columns
         if sum_so_far >= limit:
@@ -165,6 +163,6 @@ def least_steps(
                 if not passable[rr, cc] or there >= reached[rr, cc]:
                     continue
                 reached[rr, cc] = there
-                heap_f, heap_node = with_room(heap_f, heap_node, size)
-                size = push(heap_f, heap_node, size, there, rr * columns + cc)
+                queue = with_room(queue)
+                push(queue, there, rr * columns + cc)
     return limit

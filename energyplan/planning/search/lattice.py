@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, Ints, ShortInts, inner, njit
+from energyplan.compilation import Floats, Ints, ShortInts, lean, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.settings import LATTICE
@@ -26,10 +26,17 @@ from energyplan.planning.space.motions import (
     join,
     motion_cost,
     permitted,
-    price,
     surface_at,
 )
-from energyplan.planning.space.queues import angle_between, pop, push, slot_of, turning_by
+from energyplan.planning.space.queues import (
+    Open,
+    angle_between,
+    longer,
+    pop,
+    push,
+    slot_of,
+    turning_by,
+)
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
 from energyplan.terrain.collision import in_cells, motion_free
 
@@ -60,9 +67,8 @@ class Tree(NamedTuple):
     dtheta: Floats  # turn of that motion [rad]
     key: Ints  # cell and heading as one number
     table: ShortInts  # hash table from key to node, -1 where empty
-    heap_f: Floats  # keys of the binary heap of open nodes
-    heap_node: ShortInts  # the nodes of that heap
-    counts: Ints  # (5,)
+    queue: Open  # nodes to go on from
+    counts: Ints  # (4,): nodes, expanded ones, node that leads to the goal, expanded since a join
 
 
 class Root(NamedTuple):
@@ -74,7 +80,7 @@ class Root(NamedTuple):
     cost: float
 
 
-@inner
+@lean
 def _estimate(setting: KernelProblem, to_go: CostToGo, pose: Pose) -> float:
     """Cost to go: the greater of the guide's way among obstacles and the motion without them."""
     space = setting.space
@@ -109,25 +115,39 @@ def rehash(tree: Tree, count: int) -> None:
         tree.table[slot_of(tree.table, tree.key, tree.key[node])] = node
 
 
-@inner
+@lean
 def _key(space_x: float, space_y: float, lattice: Lattice, x: float, y: float, heading: int) -> int:
     column = floor((x - space_x) / lattice.cell) + (1 << 20)
     row = floor((y - space_y) / lattice.cell) + (1 << 20)
     return (row * (1 << 21) + column) * 1024 + heading
 
 
+@lean
+def _enter(
+    tree: Tree, slot: int, key: int, x: float, y: float, heading: int, g: float, h: float,
+    parent: int, ds: float, dtheta: float, f: float,
+) -> None:  # fmt: skip
+    """Add a node, in place of another of the same key in the hash table."""
+    new = int(tree.counts[0])
+    tree.counts[0] += 1
+    tree.table[slot] = new
+    tree.x[new] = x
+    tree.y[new] = y
+    tree.heading[new] = heading
+    tree.g[new] = g
+    tree.h[new] = h
+    tree.parent[new] = parent
+    tree.ds[new] = ds
+    tree.dtheta[new] = dtheta
+    tree.key[new] = key
+    push(tree.queue, f, new)
+
+
 @njit
 def plant(
-    tree: Tree,
-    space_x: float,
-    space_y: float,
-    lattice: Lattice,
-    x: float,
-    y: float,
-    heading: int,
-    g: float,
-    f: float,
-) -> None:
+    tree: Tree, space_x: float, space_y: float, lattice: Lattice, x: float, y: float, heading: int,
+    g: float, h: float, f: float,
+) -> None:  # fmt: skip
     """Open a node that no other leads to; of several in one cell that of the least cost counts."""
     key = _key(space_x, space_y, lattice, x, y, heading)
     slot = slot_of(tree.table, tree.key, key)
@@ -136,16 +156,63 @@ def plant(
         if g >= tree.g[other]:
             return
         tree.g[other] = -inf
-    new = int(tree.counts[0])
-    tree.counts[0] += 1
-    tree.table[slot] = new
-    tree.x[new] = x
-    tree.y[new] = y
-    tree.heading[new] = heading
-    tree.g[new] = g
-    tree.parent[new] = -1
-    tree.key[new] = key
-    tree.counts[1] = push(tree.heap_f, tree.heap_node, tree.counts[1], f, new)
+    _enter(tree, slot, key, x, y, heading, g, h, -1, 0.0, 0.0, f)
+
+
+@lean
+def _motion(
+    lattice: Lattice, half: float, room: float, radius: float, kind: int
+) -> tuple[float, int]:
+    """Return the length and the turn, in headings, of a motion; zero for one without room.
+
+    They lead ahead and back, on pivots or arcs, on the spot, and across open ground in one stride.
+    """
+    sign = 1.0 if kind % 2 == 0 else -1.0
+    if kind >= 8:
+        return sign * room if room >= 2.0 * lattice.step else 0.0, 0
+    if kind >= 6:
+        return 0.0, 1 if kind == 6 else -1
+    if kind >= 2:
+        return sign * max(half, radius) * lattice.turn, 1 if kind < 4 else -1
+    return sign * lattice.step, 0
+
+
+@lean
+def _relax(
+    tree: Tree, setting: KernelProblem, to_go: CostToGo, lattice: Lattice, weight: float,
+    limit: float, node: int, here: Pose, ds: float, step: int,
+) -> None:  # fmt: skip
+    """Enter the node that a motion leads to, if it is free and no cheaper way there is known."""
+    space = setting.space
+    dtheta = step * lattice.turn
+    heading = (int(tree.heading[node]) + step) % lattice.headings
+    there = arc_end(here, ds, dtheta)
+    g = tree.g[node] + motion_cost(setting, here, ds, dtheta)
+    key = _key(space.x, space.y, lattice, there.x, there.y, heading)
+    slot = slot_of(tree.table, tree.key, key)
+    other = int(tree.table[slot])
+    h = 0.0
+    if other >= 0:
+        # a gain smaller than what lies within a cell is no reason to go through it again
+        if g >= tree.g[other] - LATTICE.alike * lattice.cell * setting.least_metre:
+            return
+        h = tree.h[other]
+        alike = (tree.x[other] - there.x) ** 2 + (tree.y[other] - there.y) ** 2 <= 1e-12
+        if weight > 0 and not alike:
+            h = _estimate(setting, to_go, there)
+    elif weight > 0:
+        h = _estimate(setting, to_go, there)
+    if g + h >= limit:
+        return
+    if not motion_free(space, setting.body, here.x, here.y, here.yaw, ds, dtheta, 0.0):
+        return
+    # the old node stays as it is: its children's motions start from its own pose
+    if other >= 0:
+        # a stale entry of the heap is recognised by its cost
+        tree.g[other] = -inf
+    _enter(
+        tree, slot, key, there.x, there.y, heading, g, h, node, ds, dtheta, g + weight * h
+    )  # fmt: skip
 
 
 @njit
@@ -159,123 +226,49 @@ def grow(
     limit: float,
 ) -> int:
     """Expand nodes until a motion to the goal is found, or so many were expanded."""
-    space = setting.space
-    counts = tree.counts
-    half = setting.half_track
+    space, counts, queue = setting.space, tree.counts, tree.queue
     even = setting.surface.size == 1
-    capacity = len(tree.x)
     to_ds = np.empty(MAX_SEGMENTS)
     to_dtheta = np.empty(MAX_SEGMENTS)
     if counts[0] == 0:
         start = setting.start
         h = _estimate(setting, to_go, start) if weight > 0 else 0.0
-        plant(tree, space.x, space.y, lattice, start.x, start.y, 0, 0.0, weight * h)
-        tree.h[0] = h
+        plant(tree, space.x, space.y, lattice, start.x, start.y, 0, 0.0, h, weight * h)
     for _ in range(expansions):
-        if counts[1] == 0:
+        if queue.size[0] == 0:
             return EXHAUSTED
-        if (
-            counts[0] + 2 * MOTIONS >= capacity
-            or counts[1] + 2 * MOTIONS >= len(tree.heap_f)
-            or 2 * counts[0] >= len(tree.table)
-        ):
+        most = max(counts[0], queue.size[0]) + 2 * MOTIONS
+        if most >= len(tree.x) or 2 * counts[0] >= len(tree.table):
             return FULL
-        f = tree.heap_f[0]
-        node = int(tree.heap_node[0])
-        counts[1] = pop(tree.heap_f, tree.heap_node, counts[1])
-        g = tree.g[node]
-        if f > g + weight * tree.h[node] + 1e-9:
+        f = queue.f[0]
+        node = pop(queue)
+        g, h = tree.g[node], tree.h[node]
+        if f > g + weight * h + 1e-9 or g + h >= limit:
             continue
-        if g + tree.h[node] >= limit:
-            continue
-        counts[2] += 1
-        counts[4] += 1
-        x = tree.x[node]
-        y = tree.y[node]
-        index = int(tree.heading[node])
-        yaw = setting.start.yaw + index * lattice.turn
-        here = Pose(x, y, yaw)
-
-        # the nearer the goal, the more often the exact motion to it is tried
-        if (
-            weight > 0
-            and counts[4] * setting.half_track * setting.least_metre >= LATTICE.lead * tree.h[node]
-        ):
-            counts[4] = 0
-            if join(setting, here, setting.goal, limit - g, to_ds, to_dtheta)[0] < inf:
-                counts[3] = node
-                # who looks for a cheaper one expands this node as well
-                counts[1] = push(tree.heap_f, tree.heap_node, counts[1], f, node)
-                return FOUND
-
-        at = in_cells(space, x, y)
-        room = (
-            float(space.clearance[int(at.row), int(at.column)]) * space.resolution - setting.reach
+        counts[1] += 1
+        counts[3] += 1
+        here = Pose(
+            tree.x[node], tree.y[node], setting.start.yaw + int(tree.heading[node]) * lattice.turn
         )
+        # the nearer the goal, the more often the exact motion to it is tried
+        done = counts[3] * setting.half_track * setting.least_metre
+        if weight > 0 and done >= LATTICE.lead * h:
+            counts[3] = 0
+            if join(setting, here, setting.goal, limit - g, to_ds, to_dtheta)[0] < inf:
+                counts[2] = node
+                # who looks for a cheaper one expands this node as well
+                push(queue, f, node)
+                return FOUND
+        at = in_cells(space, here.x, here.y)
+        clearance = float(space.clearance[int(at.row), int(at.column)]) * space.resolution
+        room = clearance - setting.reach
         radius = setting.radii[0] if even else setting.radii[surface_at(setting, here)]
-        for motion in range(MOTIONS):
-            # ahead and back, pivots, spins, and across open ground in one stride
-            sign = 1.0 if motion % 2 == 0 else -1.0
-            ds = sign * lattice.step
-            step = 0
-            if motion >= 8:
-                if room < 2.0 * lattice.step:
-                    continue
-                ds = sign * room
-            elif motion >= 6:
-                if radius > 0.0:
-                    continue
-                ds = 0.0
-                step = 1 if motion == 6 else -1
-            elif motion >= 2:
-                ds = sign * max(half, radius) * lattice.turn
-                step = 1 if motion < 4 else -1
-            if ds * setting.gear < 0.0:
+        for kind in range(MOTIONS):
+            ds, step = _motion(lattice, setting.half_track, room, radius, kind)
+            if ds == 0.0 and step == 0:
                 continue
-            dtheta = step * lattice.turn
-            if radius < setting.widest and not permitted(setting, here, ds, dtheta):
-                continue
-            heading = (index + step) % lattice.headings
-            there = arc_end(here, ds, dtheta)
-            xx = there.x
-            yy = there.y
-            if even:
-                gg = g + price(setting.prices, 0, half, ds, dtheta)
-            else:
-                gg = g + motion_cost(setting, here, ds, dtheta)
-            key = _key(space.x, space.y, lattice, xx, yy, heading)
-            slot = slot_of(tree.table, tree.key, key)
-            other = int(tree.table[slot])
-            if other >= 0:
-                # a gain smaller than what lies within a cell is no reason to go through it again
-                if gg >= tree.g[other] - LATTICE.alike * lattice.cell * setting.least_metre:
-                    continue
-                h = tree.h[other]
-                if weight > 0 and (tree.x[other] - xx) ** 2 + (tree.y[other] - yy) ** 2 > 1e-12:
-                    h = _estimate(setting, to_go, Pose(xx, yy, yaw + dtheta))
-            else:
-                h = _estimate(setting, to_go, Pose(xx, yy, yaw + dtheta)) if weight > 0 else 0.0
-            if gg + h >= limit:
-                continue
-            if not motion_free(space, setting.body, x, y, yaw, ds, dtheta, 0.0):
-                continue
-            # the old node stays as it is: its children's motions start from its own pose
-            new = int(counts[0])
-            counts[0] += 1
-            tree.table[slot] = new
-            tree.x[new] = xx
-            tree.y[new] = yy
-            tree.heading[new] = heading
-            tree.g[new] = gg
-            tree.h[new] = h
-            tree.parent[new] = node
-            tree.ds[new] = ds
-            tree.dtheta[new] = dtheta
-            tree.key[new] = key
-            if other >= 0:
-                # a stale entry of the heap is recognised by its cost
-                tree.g[other] = -inf
-            counts[1] = push(tree.heap_f, tree.heap_node, counts[1], gg + weight * h, new)
+            if permitted(setting, here, ds, step * lattice.turn):
+                _relax(tree, setting, to_go, lattice, weight, limit, node, here, ds, step)
     return RUNNING
 
 
@@ -312,29 +305,30 @@ class Search:
 
     def __post_init__(self) -> None:
         nodes = 1 << 14
-        x, y, g, h, ds, dtheta, heap_f = np.zeros((7, nodes))
-        heading, parent, heap_node = np.zeros((3, nodes), np.int32)
+        x, y, g, h, ds, dtheta = np.zeros((6, nodes))
+        heading, parent = np.zeros((2, nodes), np.int32)
         key, table = np.zeros(nodes, np.int64), np.full(4 * nodes, -1, np.int32)
-        counts = np.array([0, 0, 0, -1, 1 << 30], np.int64)
-        self.tree = Tree(
-            x, y, heading, g, h, parent, ds, dtheta, key, table, heap_f, heap_node, counts
-        )
+        counts = np.array([0, 0, -1, 1 << 30], np.int64)
+        queue = Open(np.zeros(nodes), np.zeros(nodes, np.int32), np.zeros(1, np.int64))
+        self.tree = Tree(x, y, heading, g, h, parent, ds, dtheta, key, table, queue, counts)
         for root in self.roots:
             if int(self.tree.counts[0]) + 1 >= len(self.tree.x):
                 self._enlarge()
             space = self.setting.space
-            plant(self.tree, space.x, space.y, self.lattice, *root, root.cost)
+            plant(self.tree, space.x, space.y, self.lattice, *root, 0.0, root.cost)
         self._grow(0, np.inf)
 
     def _enlarge(self) -> None:
         """Double every array, and rebuild the hash table."""
-        tree, kept = self.tree, ("table", "counts")
+        tree, kept = self.tree, ("table", "counts", "queue")
         double = {
             name: np.concatenate([array, np.zeros_like(array)])
             for name, array in tree._asdict().items()
             if name not in kept
         }
-        self.tree = tree._replace(**double, table=np.full(2 * len(tree.table), -1, np.int32))
+        queue = longer(tree.queue)
+        table = np.full(2 * len(tree.table), -1, np.int32)
+        self.tree = tree._replace(**double, queue=queue, table=table)
         rehash(self.tree, int(tree.counts[0]))
 
     def _grow(self, expansions: int, limit: float) -> int:
@@ -344,30 +338,31 @@ class Search:
 
     def run(self, budget: Budget, expansions: float = np.inf, limit: float = np.inf) -> int:
         """Search until something is found, nothing is left, or the budget is over."""
-        most = self.tree.counts[2] + expansions
+        most = self.tree.counts[1] + expansions
         while True:
-            before = int(self.tree.counts[2])
+            before = int(self.tree.counts[1])
             slice_ = int(
                 min(LATTICE.slice, max(most - before, 1), max(budget.left / UNITS.expansion, 1))
             )
             status = self._grow(slice_, limit)
-            budget.spend(UNITS.expansion * (int(self.tree.counts[2]) - before))
+            budget.spend(UNITS.expansion * (int(self.tree.counts[1]) - before))
             if status == FULL:
                 self._enlarge()
             elif status != RUNNING:
                 return status
-            if budget.over or self.tree.counts[2] >= most:
+            if budget.over or self.tree.counts[1] >= most:
                 return RUNNING
 
     @property
     def found(self) -> bool:
         """Whether a motion to the goal is known."""
-        return int(self.tree.counts[3]) >= 0
+        return int(self.tree.counts[2]) >= 0
 
     @property
     def frontier(self) -> float:
         """Cost of the cheapest node that is still open; infinite where none is."""
-        return float(self.tree.heap_f[0]) if int(self.tree.counts[1]) else np.inf
+        queue = self.tree.queue
+        return float(queue.f[0]) if int(queue.size[0]) else np.inf
 
     def cheapest(self, budget: Budget, limit: float) -> Segments | None:
         """Return the cheapest motions to the goal, if they cost less than `limit`."""
@@ -384,7 +379,7 @@ class Search:
     def _to_goal(self) -> tuple[Segments, float]:
         """Return the motions to the goal, and their cost."""
         tree, chain = self.tree, []
-        last = node = int(tree.counts[3])
+        last = node = int(tree.counts[2])
         while tree.parent[node] >= 0:
             chain.append((tree.ds[node], tree.dtheta[node]))
             node = int(tree.parent[node])

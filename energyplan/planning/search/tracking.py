@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, inner, njit
+from energyplan.compilation import Floats, FloatTable, Ints, inner, lean, njit
 from energyplan.path import FloatArray, Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.search.lattice import Search, lattice_for
@@ -207,7 +207,7 @@ def poses_along(places: Places, setting: KernelProblem, chain: Ints) -> FloatTab
     return poses[: kept + 1][::-1].copy()
 
 
-@inner
+@lean
 def either_way(places: Places, node: int) -> np.uint64:
     """Return the free headings of a node and those opposite: the way is as long facing either."""
     arc = places.arcs[node]
@@ -215,7 +215,7 @@ def either_way(places: Places, node: int) -> np.uint64:
     return np.uint64(places.masks[places.home[node]] & (arc | arc << half | arc >> half))
 
 
-@inner
+@lean
 def _free_in(setting: KernelProblem, along: float, up: float, yaw: float, spacing: float) -> Pose:
     """Return the free pose of a place that is nearest to its middle; its middle where none is."""
     space = setting.space

@@ -27,6 +27,7 @@ from energyplan.compilation import (
     Words,
     WordTable,
     inner,
+    lean,
     njit,
     processors,
 )
@@ -90,7 +91,7 @@ def run_levels(bits: WordTable, levels: int) -> WordBlock:
     return out
 
 
-@inner
+@lean
 def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) -> None:
     """Set the bits of a row that lie `shift` columns further on; empty words lie beyond it."""
     skip = shift >> 6
@@ -111,7 +112,7 @@ def _merge_shifted(into: Words, row: Words, shift: int, start: int, end: int) ->
         into[last - 1] |= row[words - 1] >> bit
 
 
-@inner
+@lean
 def _transpose(a: Words) -> None:
     """Transpose a square of 64 by 64 bits: bit `c` of word `h` becomes bit `h` of word `c`."""
     j = 32
@@ -129,7 +130,7 @@ def _transpose(a: Words) -> None:
             mask = mask ^ (mask << np.uint64(j))
 
 
-@inner
+@lean
 def _keep_columns(row: Words, low: int, high: int, pad: int, columns: int) -> None:
     """Clear the bits of all columns but those from `low` to before `high`."""
     for w in range(len(row)):

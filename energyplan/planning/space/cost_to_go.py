@@ -13,7 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Flags, Floats, ShortInts, Singles, inner, njit
+from energyplan.compilation import (
+    Flags,
+    Floats,
+    Ints,
+    IntTable,
+    ShortInts,
+    Singles,
+    WordTable,
+    inner,
+    lean,
+    njit,
+)
 from energyplan.path import Pose
 from energyplan.planning.settings import TO_GO
 from energyplan.planning.space.configurations import HEADINGS
@@ -37,6 +48,7 @@ from energyplan.planning.space.queues import (
     STEP_COLUMNS,
     STEP_ROWS,
     longer_ints,
+    no_open,
     pop,
     push,
     with_room,
@@ -155,134 +167,208 @@ def cost_over(kernel: KernelProblem, enlarged: bool, known: float = 0.0) -> Cost
     return to_go._replace(work=work)
 
 
-@njit
-def fill_cost_to_go(
-    places: Places,
-    goals: ShortInts,
-    region: ShortInts,
-    near: Flags,
-    ground: MetrePrices,
-    distance: Singles,
-    direction: Singles,
-    parent: ShortInts,
-) -> int:
-    """Write the distance of the nodes from the goal, over 16 neighbours; return the work."""
-    across = places.columns + 2 * RIM
-    lengths = np.empty(STEPS)
-    for k in range(STEPS):
-        lengths[k] = places.spacing * hypot(STEP_ROWS[k], STEP_COLUMNS[k])
-    beside = halfway(across)
-    aside = headings_aside()
-    factors = to_and_fro()
-    even = ground.ratio.size == 1
-    cheapest = inf
-    costliest = 0.0
-    for r in range(ground.ratio.shape[0]):
-        for c in range(ground.ratio.shape[1]):
-            cheapest = min(cheapest, ground.ratio[r, c])
-            costliest = max(costliest, ground.ratio[r, c])
-    width = places.spacing * cheapest
-    most = lengths[STEPS - 1] * costliest * factors[-1]
-    ring = int(most / width) + 2
-    bucket = np.empty(ring, np.int32)
-    for k in range(ring):
-        bucket[k] = -1
-    capacity = 1 << 14
-    nodes = np.empty(capacity, np.int32)
-    older = np.empty(capacity, np.int32)
-    total = len(places.arcs)
-    target = np.empty(total, np.int32)
-    closed = np.empty(total, np.bool_)
-    for node in range(total):
-        parent[node] = -1
-        target[node] = -1
-        closed[node] = False
-        if near[region[node]]:
-            distance[node] = inf
-    rounding = TO_GO.rounding * places.spacing
-    count = 0
-    used = 0
-    spare = -1  # the first of the entries that are empty again
-    waiting = 0
-    for k in range(len(goals)):
-        distance[goals[k]] = 0.0
-        target[goals[k]] = goals[k]
-        nodes[used] = goals[k]
-        older[used] = bucket[0]
-        bucket[0] = used
-        used += 1
-        count += 1
-        waiting += 1
-    at_bucket = 0
-    while waiting > 0:
-        entry = int(bucket[at_bucket % ring])
-        if entry < 0:
-            at_bucket += 1
-            continue
-        bucket[at_bucket % ring] = older[entry]
-        node = int(nodes[entry])
-        older[entry] = spare
-        spare = entry
-        waiting -= 1
-        if closed[node]:
-            continue
-        closed[node] = True
-        d = float(distance[node])
-        place = int(places.home[node])
-        row = place // across
-        column = place % across
-        if target[node] < 0:
-            far = int(target[parent[node]])
-            target[node] = _node_ahead(node, far, distance, parent)
-            goal = int(places.home[target[node]])
-            direction[node] = atan2(goal // across - row, goal % across - column)
-        arc = places.arcs[node]
-        factor = ground.ratio[0, 0]
-        for k in range(STEPS):
-            there = place + STEP_ROWS[k] * across + STEP_COLUMNS[k]
-            common = arc & places.masks[there]
-            if common == 0:
-                continue
-            if k >= 8:
-                common &= places.masks[place + beside[k, 0]] | places.masks[place + beside[k, 1]]
-            if not even:
-                factor = ratio_between(ground, there, place, lengths[k])
-            step = factor * lengths[k]
-            for other in range(places.first[there], places.first[there + 1]):
-                if d + step >= distance[other] - rounding or not near[region[other]]:
-                    continue
-                shared = common & places.arcs[other]
-                if shared == 0:
-                    continue
-                n = 0
-                while shared & aside[k, n] == 0:
-                    n += 1
-                dd = d + step * factors[n]
-                if dd < distance[other] - rounding:
-                    distance[other] = dd
-                    parent[other] = node
-                    target[other] = -1
-                    closed[other] = False
-                    free = spare
-                    if free >= 0:
-                        spare = int(older[free])
-                    else:
-                        if used == capacity:
-                            capacity *= 2
-                            nodes = longer_ints(nodes)
-                            older = longer_ints(older)
-                        free = used
-                        used += 1
-                    slot = max(int(dd / width), at_bucket) % ring
-                    nodes[free] = other
-                    older[free] = bucket[slot]
-                    bucket[slot] = free
-                    count += 1
-                    waiting += 1
-    return count
+class Neighbours(NamedTuple):
+    """Tables of the steps to the 16 neighbours, with the prices of the ground."""
+
+    lengths: Floats  # (16,): [m]
+    between: IntTable  # see `halfway`
+    aside: WordTable  # see `headings_aside`
+    factors: Floats  # see `to_and_fro`
+    ground: MetrePrices
+    even: bool  # whether all ground costs the same
+    least: float  # least and largest price of a metre over the least of all ground
+    most: float
+
+
+class Tentative(NamedTuple):
+    """What is known of the nodes so far."""
+
+    distance: Singles  # distance to go [m]
+    parent: ShortInts  # next node towards the goal, or -1
+    target: ShortInts  # node that its direction points to; -1 where that is not known, or no longer
+    closed: Flags  # whether it was expanded since its distance fell
+    region: ShortInts  # region of each node
+    near: Flags  # regions whose nodes are visited
+
+
+class Buckets(NamedTuple):
+    """Nodes to expand, by distance: a ring of linked lists, each of nodes about as far away."""
+
+    first: ShortInts  # (ring,): first entry of each list, or -1
+    node: ShortInts  # node of each entry
+    next: ShortInts  # next entry of its list, or of those that are empty again; or -1
+    counts: Ints  # (5,): entries added, used at once, waiting; first empty one; list that is due
+    width: float  # range of distances of a list [m]
 
 
 @inner
+def _neighbours(places: Places, ground: MetrePrices) -> Neighbours:
+    """Return the tables of the steps to neighbours."""
+    lengths = np.empty(STEPS)
+    for k in range(STEPS):
+        lengths[k] = places.spacing * hypot(STEP_ROWS[k], STEP_COLUMNS[k])
+    least = inf
+    most = 0.0
+    for r in range(ground.ratio.shape[0]):
+        for c in range(ground.ratio.shape[1]):
+            least = min(least, ground.ratio[r, c])
+            most = max(most, ground.ratio[r, c])
+    return Neighbours(
+        lengths, halfway(places.columns + 2 * RIM), headings_aside(), to_and_fro(), ground,
+        ground.ratio.size == 1, least, most,
+    )  # fmt: skip
+
+
+@inner
+def _buckets(width: float, furthest: float) -> Buckets:
+    """Return empty lists for steps of some length at most."""
+    ring = int(furthest / width) + 2
+    first = np.full(ring, -1, np.int32)
+    counts = np.array([0, 0, 0, -1, 0])
+    room = 1 << 14
+    return Buckets(first, np.empty(room, np.int32), np.empty(room, np.int32), counts, width)
+
+
+@inner
+def _longer(buckets: Buckets) -> Buckets:
+    """Return the same lists with room for twice as many entries."""
+    node, after = longer_ints(buckets.node), longer_ints(buckets.next)
+    return Buckets(buckets.first, node, after, buckets.counts, buckets.width)
+
+
+@lean
+def _add(buckets: Buckets, node: int, distance: float) -> None:
+    """Add an entry to the lists."""
+    counts = buckets.counts
+    new = int(counts[3])
+    if new >= 0:
+        counts[3] = buckets.next[new]
+    else:
+        new = int(counts[1])
+        counts[1] += 1
+    slot = max(int(distance / buckets.width), counts[4]) % len(buckets.first)
+    buckets.node[new] = node
+    buckets.next[new] = buckets.first[slot]
+    buckets.first[slot] = new
+    counts[0] += 1
+    counts[2] += 1
+
+
+@lean
+def _remove(buckets: Buckets) -> int:
+    """Remove one of the nearest entries, and return its node."""
+    counts = buckets.counts
+    ring = len(buckets.first)
+    while buckets.first[counts[4] % ring] < 0:
+        counts[4] += 1
+    slot = counts[4] % ring
+    entry = int(buckets.first[slot])
+    buckets.first[slot] = buckets.next[entry]
+    buckets.next[entry] = counts[3]
+    counts[3] = entry
+    counts[2] -= 1
+    return int(buckets.node[entry])
+
+
+@njit
+def fill_cost_to_go(
+    places: Places, goals: ShortInts, region: ShortInts, near: Flags, ground: MetrePrices,
+    distance: Singles, direction: Singles, parent: ShortInts,
+) -> int:  # fmt: skip
+    """Write the distance of the nodes from the goal, over 16 neighbours; return the work."""
+    steps = _neighbours(places, ground)
+    furthest = steps.lengths[STEPS - 1] * steps.most * steps.factors[-1]
+    buckets = _buckets(places.spacing * steps.least, furthest)
+    total = len(places.arcs)
+    known = Tentative(
+        distance, parent, np.full(total, -1, np.int32), np.zeros(total, np.bool_), region, near
+    )
+    for node in range(total):
+        parent[node] = -1
+        if near[region[node]]:
+            distance[node] = inf
+    for goal in goals:
+        distance[goal] = 0.0
+        known.target[goal] = goal
+        _add(buckets, int(goal), 0.0)
+    while buckets.counts[2] > 0:
+        if not _has_room(buckets):
+            buckets = _longer(buckets)
+        _expand(places, steps, known, buckets, direction)
+    return int(buckets.counts[0])
+
+
+@lean
+def _has_room(buckets: Buckets) -> bool:
+    """Return whether there is room for all neighbours of a node."""
+    return int(buckets.counts[1]) + STEPS * HEADINGS <= len(buckets.node)
+
+
+@lean
+def _expand(
+    places: Places, steps: Neighbours, known: Tentative, buckets: Buckets, direction: Singles
+) -> None:
+    """Expand nodes, the nearest first, as long as there are some and the lists have room."""
+    across = places.columns + 2 * RIM
+    while buckets.counts[2] > 0 and _has_room(buckets):
+        node = _remove(buckets)
+        if known.closed[node]:
+            continue
+        known.closed[node] = True
+        if known.target[node] < 0:
+            far = int(known.target[known.parent[node]])
+            known.target[node] = _node_ahead(node, far, known.distance, known.parent)
+            place = int(places.home[node])
+            ahead = int(places.home[known.target[node]])
+            direction[node] = atan2(
+                ahead // across - place // across, ahead % across - place % across
+            )
+        _relax(places, steps, known, buckets, node)
+
+
+@lean
+def _relax(
+    places: Places, steps: Neighbours, known: Tentative, buckets: Buckets, node: int
+) -> None:
+    """Lower the distances of a node's neighbours, and add those that fell to the lists."""
+    across = places.columns + 2 * RIM
+    rounding = TO_GO.rounding * places.spacing
+    distance = known.distance
+    d = float(distance[node])
+    place = int(places.home[node])
+    factor = steps.ground.ratio[0, 0]
+    for k in range(STEPS):
+        there = place + STEP_ROWS[k] * across + STEP_COLUMNS[k]
+        common = places.arcs[node] & places.masks[there]
+        if common == 0:
+            continue
+        if k >= 8:
+            common &= (
+                places.masks[place + steps.between[k, 0]]
+                | places.masks[place + steps.between[k, 1]]
+            )
+        if not steps.even:
+            factor = ratio_between(steps.ground, there, place, steps.lengths[k])
+        step = factor * steps.lengths[k]
+        for other in range(places.first[there], places.first[there + 1]):
+            if d + step >= distance[other] - rounding or not known.near[known.region[other]]:
+                continue
+            shared = common & places.arcs[other]
+            if shared == 0:
+                continue
+            n = 0
+            while shared & steps.aside[k, n] == 0:
+                n += 1
+            dd = d + step * steps.factors[n]
+            if dd < distance[other] - rounding:
+                distance[other] = dd
+                known.parent[other] = node
+                known.target[other] = -1
+                known.closed[other] = False
+                _add(buckets, other, dd)
+
+
+@lean
 def _node_ahead(node: int, far: int, distance: Singles, parent: ShortInts) -> int:
     """Return the node on the route that a node's direction points to; `far` is its parent's."""
     d = float(distance[node])
@@ -420,7 +506,7 @@ def _flood(
     return stack
 
 
-@inner
+@lean
 def _block_of(place: int, across: int) -> int:
     """Return the number of a place's block."""
     return (place // across) // TO_GO.block * across + (place % across) // TO_GO.block
@@ -442,16 +528,14 @@ def fill_regions(
     closed = np.zeros(count, np.bool_)
     for region in range(count):
         distance[region] = inf
-    heap_f = np.empty(64)
-    heap_node = np.empty(64, np.int32)
+    queue = no_open(64)
     distance[start] = 0.0
-    size = push(heap_f, heap_node, 0, 0.0, start)
+    push(queue, 0.0, start)
     limit = inf
     work = 0
-    while size > 0 and heap_f[0] <= limit:
-        d = heap_f[0]
-        region = int(heap_node[0])
-        size = pop(heap_f, heap_node, size)
+    while queue.size[0] > 0 and queue.f[0] <= limit:
+        d = queue.f[0]
+        region = pop(queue)
         if closed[region]:
             continue
         closed[region] = True
@@ -475,9 +559,9 @@ def fill_regions(
             step = length * ratio_between(ground, first, last, max(length, 1e-9)) * longer
             if d + step < distance[other]:
                 distance[other] = d + step
-                heap_f, heap_node = with_room(heap_f, heap_node, size)
-                size = push(heap_f, heap_node, size, d + step, other)
-    if size > 0:
+                queue = with_room(queue)
+                push(queue, d + step, other)
+    if queue.size[0] > 0:
         # ended early: regions not expanded lie beyond the limit
         for region in range(count):
             if not closed[region]:

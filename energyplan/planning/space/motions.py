@@ -20,7 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, njit
+from energyplan.compilation import READONLY, ByteTable, Floats, FloatTable, inner, lean, njit
 from energyplan.cost.steering import StaticSteering
 from energyplan.path import STILL, Pose
 from energyplan.steering.forwards import arcs_forwards, forward_energy, forward_path
@@ -81,7 +81,7 @@ class KernelProblem(NamedTuple):
     goal: Pose  # pose of the centre of the tread ICRs at the goal
 
 
-@inner
+@lean
 def price(prices: FloatTable, kind: int, half_track: float, ds: float, dtheta: float) -> float:
     """Price of a motion on one class of surface."""
     across = half_track * dtheta
@@ -124,7 +124,7 @@ def turn_prices(setting: KernelProblem) -> Floats:
     return found
 
 
-@inner
+@lean
 def surface_at(setting: KernelProblem, pose: Pose) -> int:
     """Class of the surface that the robot is on, that of the nearest cell outside the map."""
     rows, columns = setting.surface.shape
@@ -136,9 +136,11 @@ def surface_at(setting: KernelProblem, pose: Pose) -> int:
     return int(setting.surface[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
 
-@inner
+@lean
 def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> bool:
-    """Return whether the ground allows to turn as tightly as a motion does."""
+    """Return whether robot and ground allow a motion: its direction, and how tightly it turns."""
+    if ds * setting.gear < -STILL:
+        return False
     turn = abs(dtheta) * (1.0 - 1e-7)
     if abs(ds) >= setting.widest * turn:
         return True
@@ -160,7 +162,7 @@ def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> b
     return bool(abs(ds) >= setting.radii[surface_at(setting, here)] * turn)
 
 
-@inner
+@lean
 def height_at(hills: Hills, x: float, y: float) -> float:
     """Height of a point, bilinear between the nodes; that of the raster's edge beyond it."""
     dx = x - hills.x
@@ -179,7 +181,7 @@ def height_at(hills: Hills, x: float, y: float) -> float:
     return float(low * (1.0 - v) + high * v)
 
 
-@inner
+@lean
 def cost_in_parts(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> float:
     """Price of a motion in parts, by heading and slope, less the potential energy of the height."""
     hills = setting.hills
@@ -291,7 +293,7 @@ def free_energy(setting: KernelProblem, pose: Pose) -> float:
     return steer_energy(dx, dy, pose.yaw, goal.yaw, setting.steering)
 
 
-@inner
+@lean
 def motions_cost(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
@@ -306,7 +308,7 @@ def motions_cost(
     return total
 
 
-@inner
+@lean
 def drive(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
@@ -327,7 +329,7 @@ def drive(
     return total
 
 
-@inner
+@lean
 def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: Floats) -> int:
     """Write the motion that turns on the spot, drives straight, and turns on the spot."""
     dx = to.x - pose.x
@@ -345,7 +347,7 @@ def spin_drive_spin(pose: Pose, to: Pose, backwards: bool, ds: Floats, dtheta: F
     return 3
 
 
-@inner
+@lean
 def backs_up(ds: Floats, count: int) -> bool:
     """Return whether any of some motions drives backwards."""
     least = 0.0
@@ -354,13 +356,13 @@ def backs_up(ds: Floats, count: int) -> bool:
     return least < 0.0
 
 
-@inner
+@lean
 def pose_at(poses: FloatTable, k: int) -> Pose:
     """Return a row of poses as a pose."""
     return Pose(poses[k, 0], poses[k, 1], poses[k, 2])
 
 
-@inner
+@lean
 def put_pose(poses: FloatTable, k: int, pose: Pose) -> None:
     """Write a pose into a row; Numba takes a second to compile a general assignment to a row."""
     poses[k, 0] = pose.x
@@ -368,7 +370,7 @@ def put_pose(poses: FloatTable, k: int, pose: Pose) -> None:
     poses[k, 2] = pose.yaw
 
 
-@inner
+@lean
 def price_of_stops(setting: KernelProblem, ds: Floats, dtheta: Floats, count: int) -> float:
     """Price of the stops between motions and at their end."""
     total = 0.0

@@ -24,6 +24,7 @@ from energyplan.compilation import (
     Words,
     WordTable,
     inner,
+    lean,
     njit,
 )
 from energyplan.planning.space.compiled import MARGIN
@@ -133,7 +134,7 @@ def connect_places(
     return Places(flat, first, arcs, home, room, columns, spacing)
 
 
-@inner
+@lean
 def _starts(mask: np.uint64) -> np.uint64:
     """Return the headings of a mask whose lower neighbour is not in it."""
     return mask & ~((mask << np.uint64(1)) | (mask >> np.uint64(63)))
@@ -169,7 +170,7 @@ def heading_of(space: Space, yaw: float) -> int:
     return floor((yaw - space.yaw) * (HEADINGS / (2.0 * pi)) + 0.5) % HEADINGS
 
 
-@inner
+@lean
 def middle_of(places: Places, space: Space, place: int) -> tuple[float, float]:
     """Return the middle of a place in the world [m]."""
     across = places.columns + 2 * RIM
@@ -259,7 +260,7 @@ def heights_of_places(places: Places, hills: Hills, space: Space) -> Floats:
     return out
 
 
-@inner
+@lean
 def ratio_between(ground: MetrePrices, place: int, to: int, length: float) -> float:
     """Return what a metre from one place to another costs over the least price of one."""
     slopes = ground.ratio.shape[1] // ground.headings

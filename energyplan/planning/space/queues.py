@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, Ints, ShortInts, inner
+from energyplan.compilation import Floats, Ints, ShortInts, inner, lean
 
 STEP_ROWS = np.array([0, 1, 0, -1, 1, 1, -1, -1, 1, 2, 2, 1, -1, -2, -2, -1])
 STEP_COLUMNS = np.array([1, 0, -1, 0, 1, -1, 1, -1, 2, 1, -1, -2, -2, -1, 1, 2])
@@ -31,54 +32,91 @@ def longer_floats(values: Floats) -> Floats:
     return out
 
 
-@inner
-def with_room(heap_f: Floats, heap_node: ShortInts, size: int) -> tuple[Floats, ShortInts]:
-    """Return the arrays of a binary heap, twice as long where it fills them."""
-    if size < len(heap_f):
-        return heap_f, heap_node
-    return longer_floats(heap_f), longer_ints(heap_node)
+class Open(NamedTuple):
+    """What a best-first search may expand next: a binary heap, the least key first."""
+
+    f: Floats  # keys
+    node: ShortInts  # what they belong to
+    size: Ints  # (1,): number of entries
 
 
 @inner
-def push(heap_f: Floats, heap_node: ShortInts, size: int, f: float, node: int) -> int:
-    """Add an entry to a binary heap and return its new size."""
-    k = size
+def no_open(room: int) -> Open:
+    """Return an empty heap with room for so many entries."""
+    return Open(np.empty(room), np.empty(room, np.int32), np.zeros(1, np.int64))
+
+
+@inner
+def longer(heap: Open) -> Open:
+    """Return a heap of the same entries with room for twice as many."""
+    return Open(longer_floats(heap.f), longer_ints(heap.node), heap.size)
+
+
+@inner
+def with_room(heap: Open) -> Open:
+    """Return a heap with room for one more entry."""
+    return heap if heap.size[0] < len(heap.f) else longer(heap)
+
+
+@lean
+def push(heap: Open, f: float, node: int) -> None:
+    """Add an entry to a heap that has room for it."""
+    k = int(heap.size[0])
+    heap.size[0] += 1
     while k > 0:
         up = (k - 1) >> 1
-        if heap_f[up] <= f:
+        if heap.f[up] <= f:
             break
-        heap_f[k] = heap_f[up]
-        heap_node[k] = heap_node[up]
+        heap.f[k] = heap.f[up]
+        heap.node[k] = heap.node[up]
         k = up
-    heap_f[k] = f
-    heap_node[k] = node
-    return size + 1
+    heap.f[k] = f
+    heap.node[k] = node
 
 
-@inner
-def pop(heap_f: Floats, heap_node: ShortInts, size: int) -> int:
-    """Remove the least entry of a binary heap (read it first) and return the new size."""
-    size -= 1
-    f = heap_f[size]
-    node = heap_node[size]
+@lean
+def pop(heap: Open) -> int:
+    """Remove the entry of the least key (read this first), and return its node."""
+    least = int(heap.node[0])
+    heap.size[0] -= 1
+    size = int(heap.size[0])
+    f = heap.f[size]
+    node = heap.node[size]
     k = 0
     while True:
         child = 2 * k + 1
         if child >= size:
             break
-        if child + 1 < size and heap_f[child + 1] < heap_f[child]:
+        if child + 1 < size and heap.f[child + 1] < heap.f[child]:
             child += 1
-        if heap_f[child] >= f:
+        if heap.f[child] >= f:
             break
-        heap_f[k] = heap_f[child]
-        heap_node[k] = heap_node[child]
+        heap.f[k] = heap.f[child]
+        heap.node[k] = heap.node[child]
         k = child
-    heap_f[k] = f
-    heap_node[k] = node
-    return size
+    heap.f[k] = f
+    heap.node[k] = node
+    return least
 
 
 @inner
+def chain_to(parent: ShortInts, node: int) -> Ints:
+    """Return the nodes from the root of a search to one of its nodes."""
+    total = 0
+    at = node
+    while at >= 0:
+        total += 1
+        at = int(parent[at])
+    chain = np.empty(total, np.int64)
+    at = node
+    while at >= 0:
+        total -= 1
+        chain[total] = at
+        at = int(parent[at])
+    return chain
+
+
+@lean
 def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
     """Return the slot of a key in a hash table, or the empty one (-1) where it belongs."""
     mask = len(table) - 1
@@ -88,14 +126,14 @@ def slot_of(table: ShortInts, keys: Ints, key: int) -> int:
     return int(slot)
 
 
-@inner
+@lean
 def angle_between(a: float, b: float) -> float:
     """Angle between two headings, 0 to pi."""
     turn = abs(a - b) % (2.0 * pi)
     return min(turn, 2.0 * pi - turn)
 
 
-@inner
+@lean
 def turning_by(a: float, way: float, b: float) -> float:
     """Least turning from one heading to another by way of a direction or the opposite one."""
     ahead = angle_between(a, way) + angle_between(way, b)

@@ -12,14 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
+from energyplan.compilation import Flags, Floats, FloatTable, Ints, ShortInts, inner, lean, njit
 from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.settings import PASSAGE
 from energyplan.planning.space.compiled import Segments
 from energyplan.planning.space.configurations import HEADINGS, grown
 from energyplan.planning.space.motions import KernelProblem, join, pose_at, put_pose
-from energyplan.planning.space.queues import angle_between, pop, push, slot_of
+from energyplan.planning.space.queues import (
+    Open,
+    angle_between,
+    chain_to,
+    no_open,
+    pop,
+    push,
+    slot_of,
+)
 from energyplan.steering.kernels import MAX_SEGMENTS
 from energyplan.terrain.collision import Body, pose_free
 
@@ -62,6 +70,73 @@ class Passage(NamedTuple):
     tests: int  # poses that were tested
 
 
+class GridFrame(NamedTuple):
+    """The grid of poses: it begins at one end of the passage."""
+
+    begin: Pose
+    end: Pose
+    cell: float  # [m]
+    headings: int
+    turn: float  # between two of them [rad]
+
+
+class Tested(NamedTuple):
+    """The poses of the grid that were tested, and how they were reached from either end."""
+
+    key: Ints  # place and heading as one number
+    side: Ints  # the end that it was reached from, 0 or 1, or `BLOCKED`
+    parent: ShortInts  # pose it was reached from, -1 at an end
+    done: Flags  # whether it was expanded
+    narrow: Flags  # whether the larger body is not free there
+    g: Floats  # cost from its end [m]
+    table: ShortInts  # hash table from key to pose, -1 where empty
+    used: Ints  # (1,): number of poses
+
+
+@inner
+def _tested(most: int) -> Tested:
+    """Return no poses, with room for so many."""
+    size = 16
+    while size < 4 * most:
+        size *= 2
+    return Tested(
+        np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int32),
+        np.zeros(most, np.bool_), np.zeros(most, np.bool_), np.empty(most),
+        np.full(size, -1, np.int32), np.zeros(1, np.int64),
+    )  # fmt: skip
+
+
+@lean
+def _key_of(i: int, j: int, h: int, headings: int) -> int:
+    """Return a place of the grid and a heading as one number."""
+    half = 1 << (BITS - 1)
+    return ((i + half) << BITS | (j + half)) * headings + h
+
+
+@lean
+def _pose_of(frame: GridFrame, key: int) -> Pose:
+    """Return the pose of a key."""
+    half = 1 << (BITS - 1)
+    place = key // frame.headings
+    x = frame.begin.x + ((place >> BITS) - half) * frame.cell
+    y = frame.begin.y + ((place & ((1 << BITS) - 1)) - half) * frame.cell
+    return Pose(x, y, frame.begin.yaw + (key % frame.headings) * frame.turn)
+
+
+@lean
+def _enter(tested: Tested, slot: int, key: int, side: int, narrow: bool, g: float) -> int:
+    """Add a pose that nothing leads to, and return its number."""
+    new = int(tested.used[0])
+    tested.used[0] += 1
+    tested.table[slot] = new
+    tested.key[new] = key
+    tested.side[new] = side
+    tested.parent[new] = -1
+    tested.narrow[new] = narrow
+    tested.g[new] = g
+    return new
+
+
 @njit
 def bidirectional_search(
     setting: KernelProblem,
@@ -74,139 +149,101 @@ def bidirectional_search(
 ) -> Passage:
     """Return free poses that lead from one pose to another, step by step on a grid."""
     turn = 2.0 * pi / headings
-    size = 16
-    while size < 4 * most:
-        size *= 2
-    table = np.empty(size, np.int32)
-    for k in range(size):
-        table[k] = -1
-    # the two ends, and those tested
-    capacity = most + 2
-    key = np.empty(capacity, np.int64)
-    side = np.empty(capacity, np.int64)
-    parent = np.empty(capacity, np.int32)
-    done = np.empty(capacity, np.bool_)
-    narrow = np.empty(capacity, np.bool_)
-    g = np.empty(capacity)
-    heap_f = np.empty((2, NEIGHBOURS * capacity))
-    heap_node = np.empty((2, NEIGHBOURS * capacity), np.int32)
-    sizes = np.zeros(2, np.int64)
-    half = 1 << (BITS - 1)
+    frame = GridFrame(begin, end, cell, headings, turn)
+    tested = _tested(most + 2)
+    queues = (no_open(NEIGHBOURS * (most + 2)), no_open(NEIGHBOURS * (most + 2)))
     for who in range(2):
         i = floor((end.x - begin.x) / cell + 0.5) if who == 1 else 0
         j = floor((end.y - begin.y) / cell + 0.5) if who == 1 else 0
         h = floor((end.yaw - begin.yaw) / turn + 0.5) % headings if who == 1 else 0
-        key[who] = ((i + half) << BITS | (j + half)) * headings + h
-        side[who] = who
-        parent[who] = -1
-        done[who] = False
-        narrow[who] = True
-        g[who] = 0.0
-        slot = slot_of(table, key, key[who])
-        if table[slot] >= 0:
+        key = _key_of(i, j, h, headings)
+        slot = slot_of(tested.table, tested.key, key)
+        if tested.table[slot] >= 0:
             # both ends are one place of the grid
-            return Passage(_chain(parent, key, 0, 1, begin, end, cell, headings), 0)
-        table[slot] = who
-        sizes[who] = push(heap_f[who], heap_node[who], 0, 0.0, who)
-    count = 2
+            tested.parent[1] = -1
+            tested.key[1] = key
+            return Passage(_poses_between(frame, tested, 0, 1), 0)
+        push(queues[who], 0.0, _enter(tested, slot, key, who, True, 0.0))
     who = 1
     while True:
         who = 1 - who
-        while sizes[who] > 0 and done[heap_node[who, 0]]:
-            sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
-        if sizes[who] == 0:
-            return Passage(np.empty((0, 3)), count - 2)
-        node = int(heap_node[who, 0])
-        sizes[who] = pop(heap_f[who], heap_node[who], sizes[who])
-        done[node] = True
-        h = int(key[node] % headings)
-        j = int(key[node] // headings & ((1 << BITS) - 1))
-        i = int(key[node] // headings >> BITS)
-        along = cos(begin.yaw + h * turn)
-        across = sin(begin.yaw + h * turn)
+        queue = queues[who]
+        while queue.size[0] > 0 and tested.done[queue.node[0]]:
+            pop(queue)
+        if queue.size[0] == 0:
+            return Passage(np.empty((0, 3)), tested.used[0] - 2)
+        node = pop(queue)
+        tested.done[node] = True
+        here = _pose_of(frame, int(tested.key[node]))
         for k in range(NEIGHBOURS):
-            forward = along * STEP_I[k] + across * STEP_J[k]
-            if setting.gear != 0 and forward * (1 - 2 * who) < -1e-9:
-                continue
-            to_h = (h + STEP_H[k]) % headings
-            to_key = ((i + STEP_I[k]) << BITS | (j + STEP_J[k])) * headings + to_h
-            slot = slot_of(table, key, to_key)
-            other = int(table[slot])
-            if other >= 0 and side[other] == 1 - who:
-                first = node if who == 0 else other
-                second = other if who == 0 else node
-                found = _chain(parent, key, first, second, begin, end, cell, headings)
-                return Passage(found, count - 2)
-            if other >= 0 and (side[other] == BLOCKED or done[other]):
-                continue
-            x = begin.x + (i + STEP_I[k] - half) * cell
-            y = begin.y + (j + STEP_J[k] - half) * cell
-            yaw = begin.yaw + to_h * turn
-            if other < 0:
-                if count == capacity:
-                    return Passage(np.empty((0, 3)), most)
-                other = count
-                count += 1
-                table[slot] = other
-                key[other] = to_key
-                done[other] = False
-                g[other] = inf
-                side[other] = BLOCKED
-                if not pose_free(setting.space, setting.body, x, y, yaw):
-                    continue
-                side[other] = who
-                narrow[other] = not pose_free(setting.space, wide, x, y, yaw)
-            step = setting.reach * turn
-            if STEP_H[k] == 0:
-                ahead = abs(forward)
-                aside = abs(along * STEP_J[k] - across * STEP_I[k])
-                step = cell * (ahead + PASSAGE.aside * aside)
-            if narrow[other]:
-                step *= PASSAGE.tight
-            if g[node] + step < g[other]:
-                g[other] = g[node] + step
-                parent[other] = node
-                goal = end if who == 0 else begin
-                left = 2.0 * PASSAGE.aside * hypot(goal.x - x, goal.y - y)
-                left += 2.0 * setting.reach * angle_between(goal.yaw, yaw)
-                sizes[who] = push(heap_f[who], heap_node[who], sizes[who], g[other] + left, other)
+            other = _reach(setting, wide, frame, tested, queue, here, who, node, k)
+            if other == len(tested.g):
+                return Passage(np.empty((0, 3)), most)
+            if other >= 0:
+                first, second = (node, other) if who == 0 else (other, node)
+                poses = _poses_between(frame, tested, first, second)
+                return Passage(poses, tested.used[0] - 2)
+
+
+@lean
+def _reach(
+    setting: KernelProblem, wide: Body, frame: GridFrame, tested: Tested, queue: Open, here: Pose,
+    who: int, node: int, k: int,
+) -> int:  # fmt: skip
+    """Reach a neighbour; return it if the other end has, else -1; the number there may be if full."""
+    key = int(tested.key[node])
+    along, across = cos(here.yaw), sin(here.yaw)
+    forward = along * STEP_I[k] + across * STEP_J[k]
+    if setting.gear != 0 and forward * (1 - 2 * who) < -1e-9:
+        return -1
+    headings = frame.headings
+    h = key % headings
+    to_key = key - h + (STEP_I[k] * (1 << BITS) + STEP_J[k]) * headings
+    to_key += (h + STEP_H[k]) % headings
+    slot = slot_of(tested.table, tested.key, to_key)
+    other = int(tested.table[slot])
+    if other >= 0 and tested.side[other] == 1 - who:
+        return other
+    if other >= 0 and (tested.side[other] == BLOCKED or tested.done[other]):
+        return -1
+    there = _pose_of(frame, to_key)
+    if other < 0:
+        if tested.used[0] == len(tested.g):
+            return len(tested.g)
+        other = _enter(tested, slot, to_key, BLOCKED, False, inf)
+        if not pose_free(setting.space, setting.body, there.x, there.y, there.yaw):
+            return -1
+        tested.side[other] = who
+        tested.narrow[other] = not pose_free(setting.space, wide, there.x, there.y, there.yaw)
+    step = setting.reach * frame.turn
+    if STEP_H[k] == 0:
+        aside = abs(along * STEP_J[k] - across * STEP_I[k])
+        step = frame.cell * (abs(forward) + PASSAGE.aside * aside)
+    if tested.narrow[other]:
+        step *= PASSAGE.tight
+    g = tested.g[node] + step
+    if g < tested.g[other]:
+        tested.g[other] = g
+        tested.parent[other] = node
+        goal = frame.end if who == 0 else frame.begin
+        left = 2.0 * PASSAGE.aside * hypot(goal.x - there.x, goal.y - there.y)
+        left += 2.0 * setting.reach * angle_between(goal.yaw, there.yaw)
+        push(queue, g + left, other)
+    return -1
 
 
 @inner
-def _chain(
-    parent: ShortInts,
-    key: Ints,
-    first: int,
-    second: int,
-    begin: Pose,
-    end: Pose,
-    cell: float,
-    headings: int,
-) -> FloatTable:
-    """Return the poses from the begin to a node, and from another one to the end."""
-    before = 0
-    node = first
-    while node >= 0:
-        before += 1
-        node = int(parent[node])
-    count = before
-    node = second
-    while node >= 0:
-        count += 1
-        node = int(parent[node])
-    half = 1 << (BITS - 1)
+def _poses_between(frame: GridFrame, tested: Tested, first: int, second: int) -> FloatTable:
+    """Return the poses from one end to a pose, and from another pose to the other end."""
+    before = chain_to(tested.parent, first)
+    after = chain_to(tested.parent, second)
+    count = len(before) + len(after)
     poses = np.empty((count, 3))
-    node = first
-    for k in range(count):
-        if k == before:
-            node = second
-        at = before - 1 - k if k < before else k
-        cells = key[node] // headings
-        poses[at, 0] = begin.x + ((cells >> BITS) - half) * cell
-        poses[at, 1] = begin.y + ((cells & ((1 << BITS) - 1)) - half) * cell
-        poses[at, 2] = begin.yaw + (key[node] % headings) * (2.0 * pi / headings)
-        node = int(parent[node])
-    put_pose(poses, count - 1, end)
+    for k in range(len(before)):
+        put_pose(poses, k, _pose_of(frame, int(tested.key[before[k]])))
+    for k in range(len(after)):
+        put_pose(poses, count - 1 - k, _pose_of(frame, int(tested.key[after[k]])))
+    put_pose(poses, count - 1, frame.end)
     return poses
 
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, njit
+from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, lean, njit
 from energyplan.errors import PlanningError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import UNITS, Budget, side_by_side
@@ -33,7 +33,7 @@ from energyplan.planning.space.motions import (
     put_pose,
     steering_cost,
 )
-from energyplan.planning.space.queues import pop, push, slot_of
+from energyplan.planning.space.queues import Open, no_open, pop, push, slot_of
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
 
@@ -50,10 +50,9 @@ class Escape(NamedTuple):
     dtheta: Floats
     key: Ints  # one number for poses that count as one
     table: ShortInts  # hash table from key to node, -1 where empty
-    heap_f: Floats  # keys of the binary heap of nodes to go on from
-    heap_node: ShortInts  # the nodes of that heap
-    open: ShortInts  # nodes with room, in the order in which they were found
-    counts: Ints  # (4,): motions tested, nodes, entries of the heap, nodes with room
+    queue: Open  # nodes to go on from
+    found: ShortInts  # nodes with room, in the order in which they were found
+    counts: Ints  # (3,): motions tested, nodes, nodes with room
 
 
 class Wanted(NamedTuple):
@@ -66,7 +65,7 @@ class Wanted(NamedTuple):
     clearing: float  # longer way that gaining the whole clearance makes up for [reaches]
 
 
-@inner
+@lean
 def _free(
     space: Space, body: Body, pose: Pose, ds: float, dtheta: float, inwards: bool, counts: Ints
 ) -> bool:
@@ -76,7 +75,7 @@ def _free(
     return bool(motion_free(space, body, begin.x, begin.y, begin.yaw, ds, dtheta, 0.0))
 
 
-@inner
+@lean
 def _free_part(
     space: Space,
     body: Body,
@@ -105,7 +104,7 @@ def _free_part(
     return ESCAPE.spare * part
 
 
-@inner
+@lean
 def _spin_room(space: Space, body: Body, pose: Pose, counts: Ints) -> float:
     """Return what the body can turn on the spot, both ways together."""
     turn = ESCAPE.turn
@@ -121,7 +120,7 @@ def spin_room(space: Space, body: Body, pose: Pose) -> float:
     return _spin_room(space, body, pose, np.zeros(1, np.int64))
 
 
-@inner
+@lean
 def _kept(space: Space, body: Body, grown: Body, pose: Pose) -> float:
     """Return the part of what a body is grown by that a pose has room for."""
     low, high = 0.0, 1.0
@@ -140,14 +139,14 @@ def _kept(space: Space, body: Body, grown: Body, pose: Pose) -> float:
     return low
 
 
-@inner
+@lean
 def _octaves(room: float) -> float:
     """Return how often the room is halved against that of a place with room."""
     turn = ESCAPE.turn
     return log2(max(min(room, turn), 1e-6 * turn) / turn)
 
 
-@inner
+@lean
 def _key(pose: Pose, room: float, reach: float) -> int:
     """Return one number for poses that count as one; the cells are as fine as the room is small."""
     octave = floor(_octaves(room))
@@ -165,12 +164,11 @@ def _new_tree() -> Escape:
     return Escape(
         np.empty((nodes, 3)), np.empty(nodes), np.empty(nodes, np.int32), np.empty(nodes),
         np.empty(nodes), np.empty(nodes, np.int64), np.full(4 * nodes, -1, np.int32),
-        np.empty(nodes), np.empty(nodes, np.int32), np.empty(nodes, np.int32),
-        np.zeros(4, np.int64),
+        no_open(nodes), np.empty(nodes, np.int32), np.zeros(3, np.int64),
     )  # fmt: skip
 
 
-@inner
+@lean
 def _enter(
     tree: Escape, setting: KernelProblem, wanted: Wanted, node: int, ds: float, dtheta: float
 ) -> None:
@@ -197,8 +195,8 @@ def _enter(
         tree.g[new] = tree.g[node] + abs(ds) + half * abs(dtheta)
         f = tree.g[new] / (ESCAPE.doubling * setting.reach) - _octaves(room)
         if room >= wanted.turn and _fits(setting.space, wanted.grown, there):
-            tree.open[counts[3]] = new
-            counts[3] += 1
+            tree.found[counts[2]] = new
+            counts[2] += 1
             return
     else:
         begin = there if wanted.inwards else pose
@@ -208,7 +206,7 @@ def _enter(
         cost = tree.g[new] + steering_cost(setting, first, last)
         f = cost / (setting.least_metre * setting.reach)
         f -= wanted.clearing * _kept(setting.space, setting.body, wanted.grown, there)
-    counts[2] = push(tree.heap_f, tree.heap_node, counts[2], f, new)
+    push(tree.queue, f, new)
 
 
 @njit
@@ -229,16 +227,15 @@ def escape(setting: KernelProblem, end: Pose, wanted: Wanted, tests: int) -> Esc
     tree.key[0] = _key(end, room, setting.reach)
     tree.table[slot_of(tree.table, tree.key, tree.key[0])] = 0
     counts[1] = 1
-    counts[2] = push(tree.heap_f, tree.heap_node, 0, -_octaves(room), 0)
-    while counts[2] > 0 and counts[0] < tests and counts[3] < ESCAPE.ways:
+    push(tree.queue, -_octaves(room), 0)
+    while tree.queue.size[0] > 0 and counts[0] < tests and counts[2] < ESCAPE.ways:
         if counts[1] + KINDS * len(ESCAPE.parts) > ESCAPE.nodes:
             break
-        node = int(tree.heap_node[0])
-        counts[2] = pop(tree.heap_f, tree.heap_node, counts[2])
+        node = pop(tree.queue)
         pose = pose_at(tree.poses, node)
         if wanted.turn == 0.0 and _fits(space, wanted.grown, pose):
-            tree.open[counts[3]] = node
-            counts[3] += 1
+            tree.found[counts[2]] = node
+            counts[2] += 1
             continue
         for kind in range(KINDS):
             ds, dtheta = _longest(kind, setting.reach, half)
@@ -257,13 +254,13 @@ def escape(setting: KernelProblem, end: Pose, wanted: Wanted, tests: int) -> Esc
     return tree
 
 
-@inner
+@lean
 def _fits(space: Space, body: Body, pose: Pose) -> bool:
     """Return whether a body is free at a pose."""
     return bool(pose_free(space, body, pose.x, pose.y, pose.yaw))
 
 
-@inner
+@lean
 def _longest(kind: int, reach: float, half: float) -> tuple[float, float]:
     """Return the length and the turn of the longest motion of a kind: a quarter turn at most."""
     sign = 1.0 if kind % 2 == 0 else -1.0
@@ -382,7 +379,7 @@ def _out_of(query: CompiledProblem, goal: bool, turn: float, budget: Budget) -> 
         wanted = Wanted(query.grown, far, goal, turn, clearing)
         tree = escape(setting._replace(body=query.body), pose, wanted, tests)
         budget.spend(UNITS.motion * int(tree.counts[0]))
-        for node in tree.open[: tree.counts[3]].tolist():
+        for node in tree.found[: tree.counts[2]].tolist():
             room, chain = Pose(*tree.poses[node].tolist()), _chain(tree, node)
             motions = chain if goal else chain[::-1]
             here, ends = (room, (far, room)) if goal else (pose, (room, far))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import Ints, Words, inner, njit
+from energyplan.compilation import Ints, Words, inner, lean, njit
 from energyplan.errors import NoPathError, TimeLimitError
 from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.settings import PROOF
@@ -72,7 +72,7 @@ def _added(queue: Queue, count: int, place: int, bits: np.uint64, parent: int) -
     return queue
 
 
-@inner
+@lean
 def _neighbours(bits: np.uint64) -> np.uint64:
     """Return the headings next to some."""
     ahead = (bits << np.uint64(1)) | (bits >> np.uint64(63))
