@@ -190,7 +190,7 @@ def _reach(
     setting: KernelProblem, wide: Body, frame: GridFrame, tested: Tested, queue: Open, here: Pose,
     who: int, node: int, k: int,
 ) -> int:  # fmt: skip
-    """Reach a neighbour; return it if the other end has, else -1; the number there may be if full."""
+    """Reach a neighbour; return it if the other end has, else -1; `len(tested.g)` if full."""
     key = int(tested.key[node])
     along, across = cos(here.yaw), sin(here.yaw)
     forward = along * STEP_I[k] + across * STEP_J[k]
