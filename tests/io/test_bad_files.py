@@ -489,7 +489,7 @@ def test_a_file_of_another_encoding_is_named_with_its_line(tmp_path):
     file = tmp_path / "robot.yaml"
     file.write_bytes("preset: jackal\nname: Gerät\n".encode("latin-1"))
     with pytest.raises(
-        errors.InvalidInputError, match="robot.yaml, line 2 is not in UTF-8; save the"
+        errors.InvalidInputError, match=r"robot\.yaml, line 2 is not in UTF-8; save the"
     ):
         read_vehicle(file)
     file.write_bytes("preset: jackal\nname: Gerät\n".encode("utf-16"))
