@@ -207,8 +207,9 @@ class _Rated(NamedTuple):
 
 
 _NO_GAP = (
-    "no gap: no lower bound is known of the energy as driven, as this model changes with time, or "
-    "depends on speed on slopes; that at steady speeds is lower_bound_steady"
+    "no gap: no lower bound is known of the energy as driven, as this model changes with time, "
+    "depends on speed on slopes, or nothing limits the speed of the treads; that at steady speeds "
+    "is lower_bound_steady"
 )
 
 
