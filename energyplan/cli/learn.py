@@ -145,8 +145,8 @@ def start(
     done = "give --out PROJECT.yaml to write it as a project"
     if out is not None and written:
         write_project(result.project, out)
-        files = " ".join(map(str, logs))
-        done = f"written: {out}; next: energyplan diagnose {files} --project {out} --out model.yaml"
+        then = following("diagnose", *logs, "--project", out, "--out", "model.yaml", keep="")
+        done = f"written: {out}; next: {then}"
     elif not written:
         where = "a project" if out is None else out
         done = f"not written: {where}; mend what is WRONG, or write it all the same with --accept"
@@ -169,8 +169,8 @@ def _start_map(
         done = "give --out MAP.yaml to write its YAML"
     else:
         grid = write_map_of_image(image, resolution, out)
-        done = f"written: {out}; next: energyplan compare --map {out} --model MODEL --start X,Y,YAW"
-        done += " --goal X,Y,YAW"
+        words = ("--map", out, "--model", "MODEL", "--start", "X,Y,YAW", "--goal", "X,Y,YAW")
+        done = f"written: {out}; next: {following('compare', *words, keep='')}"
     if plot is not None:
         from energyplan.output import plots
 

@@ -280,16 +280,18 @@ class EnergyCost(SteadyDriving):
         """
         return lower_bound(self._element_energy, self.icr, point)
 
-    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates:
+    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates | None:
         """Return what no drive takes less than, where a joule and a second are weighed.
 
         Drives pass all speeds from a standstill up to the largest; a motion may take less at one of
-        them than at the speed that it is priced at.
+        them than at the speed that it is priced at. None where nothing limits the tread speed.
         """
+        top = min(self.vehicle.motor.speed, self.tread_speed or np.inf)
+        if not np.isfinite(top):
+            return None
         steady = self.same_at_any_speed and self._least_drawn is self._drawn
         if self.of_heading and steady and not time:
             return DrivenRates(1.0, 0.0, np.inf)
-        top = min(self.vehicle.motor.speed, self.tread_speed or np.inf)
 
         def price(x: FloatArray, y: FloatArray, yaw: FloatArray | None = None) -> FloatArray:
             joules = self._element_energy(x, y, yaw=yaw) if energy else 0.0

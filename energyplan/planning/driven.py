@@ -255,9 +255,11 @@ def _driven_rates(problem: PlanningProblem) -> DrivenRates | None:
     rates = []
     for k, cost in enumerate(costs):
         weighed = energy, prices.of_time(k)
-        rates.append(
-            remembered(cost, None, ("drives", *weighed), partial(cost.driven_rates, *weighed))
-        )
+        make = partial(cost.driven_rates, *weighed)
+        found = remembered(cost, None, ("drives", *weighed), make)
+        if found is None:
+            return None
+        rates.append(found)
     share, still, quickest = zip(*rates, strict=True)
     return DrivenRates(min(share), min(still), max(quickest))
 
