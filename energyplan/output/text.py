@@ -128,7 +128,8 @@ def event(result: Event) -> list[str]:
     if isinstance(result, Reassessed):
         report = result.report
         said = "all tasks are done" if report is None else "; ".join(mission(report))
-        return [f"{result.t:.1f} s: charge {100 * result.soc:.1f} %; {said}"]
+        rows = "".join(f"{name} driven for {far:.1f} m; " for name, far in result.driven.items())
+        return [f"{result.t:.1f} s: charge {100 * result.soc:.1f} %; {rows}{said}"]
     aside = ", ".join(f"{count} x {reason}" for reason, count in result.set_aside.items())
     return [
         f"the end: {result.samples} samples, {result.changes} changes of ground"
