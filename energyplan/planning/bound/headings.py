@@ -11,6 +11,7 @@ from math import cos, pi
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.compilation import FloatTable
 from energyplan.cost.bounds import SLACK
@@ -67,9 +68,8 @@ def _metre_prices(query: CompiledProblem) -> FloatArray:
     prices, half_track = query.least_prices, query.problem.cost.half_track
     yaw = np.arange(_HEADINGS)[:, None] * (2.0 * pi / _HEADINGS)
     scan = scan_ratios(_RATIOS)
-    octants = np.arange(8)
 
-    def rate(ground: int, octant: FloatArray, ratio: FloatArray) -> FloatArray:
+    def rate(ground: int, octant: NDArray[np.intp], ratio: FloatArray) -> FloatArray:
         """Return the price of a metre in directions, shape (headings, n)."""
         x, y = octant_directions(ratio.ravel())
         at = octant.ravel(), np.arange(ratio.size)
@@ -82,7 +82,7 @@ def _metre_prices(query: CompiledProblem) -> FloatArray:
 
     found = []
     for ground in range(len(query.costs)):
-        octant, ratio = (part.ravel()[None] for part in np.meshgrid(octants, scan, indexing="ij"))
+        octant, ratio = np.repeat(np.arange(8), len(scan))[None], np.tile(scan, 8)[None]
         values = rate(ground, octant, ratio)
         best, k = values.min(axis=1), values.argmin(axis=1)
         octant, place = k[:, None] // len(scan), k % len(scan)
