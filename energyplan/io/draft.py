@@ -207,8 +207,19 @@ def _of_drawn(recording: Recording, columns: Mapping[str, FloatArray]) -> str:
 
 
 _COUNTED = {"current": ("mAh", "Ah", "C"), "power": ("Wh", "J", "kJ")}
-_DRAWN = (0.2, 2e4)  # what robots draw in the mean, and more [W]
-_VOLTAGE = 24.0  # a usual voltage of a robot's battery [V]
+
+
+class DraftLimits(NamedTuple):
+    """What robots draw, and how alike columns are."""
+
+    drawn: tuple[float, float] = (0.2, 2e4)  # what robots draw in the mean, and more [W]
+    voltage: float = 24.0  # a usual voltage of a robot's battery [V]
+    alike: float = 0.99  # correlation from which two speeds are one
+    # by how much voltages may differ to be of one bus: as much as powers do then
+    one_voltage: float = 0.01
+
+
+_DRAFT = DraftLimits()
 
 
 def _counter_ways(recording: Recording, name: str, channels: Sequence[str]) -> list[str]:
@@ -224,10 +235,10 @@ def _counter_ways(recording: Recording, name: str, channels: Sequence[str]) -> l
     ways = []
     for channel in channels:
         stated = unit_in(channel, name).unit
-        volts = _VOLTAGE if channel == "current" else 1.0
+        volts = _DRAFT.voltage if channel == "current" else 1.0
         for unit in (stated,) if stated else _COUNTED[channel]:
             drawn = rate * scale_of(channel, unit).factor * volts
-            if stated or not isfinite(drawn) or _DRAWN[0] <= drawn <= _DRAWN[1]:
+            if stated or not isfinite(drawn) or _DRAFT.drawn[0] <= drawn <= _DRAFT.drawn[1]:
                 ways.append(f"{channel}={name}[{unit}]")
     return ways or [f"{channel}={name}[UNIT]" for channel in channels]
 
@@ -531,9 +542,6 @@ def _guesses(
     return found
 
 
-_ALIKE = 0.99  # correlation from which two speeds are one
-
-
 def _from_twist(
     recording: Recording, columns: dict[str, Column], found: dict[str, Column], known: Given
 ) -> list[str]:
@@ -541,7 +549,7 @@ def _from_twist(
     used = {name for one in columns.values() for name in one.names}
     several = guess_ahead(name for name in recording.columns if name not in used)
     alike = all(
-        correlation(*recording.together(several[0], name)) > _ALIKE for name in several[1:]
+        correlation(*recording.together(several[0], name)) > _DRAFT.alike for name in several[1:]
     )  # else these may be the speeds of sides, of which no name says so
     ahead = several[0] if several and alike else None
     turns = guess_turns(name for name in recording.columns if name not in used)
@@ -603,9 +611,6 @@ def _powers(recording: Recording, columns: dict[str, Column], guesses: dict[str,
             del guesses["current"], guesses["voltage"]
 
 
-_ONE_VOLTAGE = 0.01  # by how much voltages may differ to be of one bus: as much as powers do then
-
-
 def _product(recording: Recording, current: Column, volts: Column) -> Column:
     """Return the power of a current times its voltage, each of several times its own."""
     names = (current.field, *current.plus)
@@ -618,7 +623,7 @@ def _product(recording: Recording, current: Column, volts: Column) -> Column:
         return power.changed(**({"times": own[0]} if alone else {"each": own}))
     there = sorted({volts.field, *own, *siblings(volts, recording.columns)})
     typical = [float(np.nanmedian(recording.column(name))) for name in there]
-    if max(typical) - min(typical) <= _ONE_VOLTAGE * max(map(abs, typical)):
+    if max(typical) - min(typical) <= _DRAFT.one_voltage * max(map(abs, typical)):
         return power.changed(times=volts.field)
     stated = "+".join(f"{name}*{there[0]}" for name in names)
     raise DriveLogError(

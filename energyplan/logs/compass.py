@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 from energyplan.logs.align import Series, align, integral, usable
 from energyplan.path import FloatArray
 
-CHANCE = 4.0  # standard errors beyond which an effect is none by chance
-_WINDOWS = 400  # stretches that are compared, at most
-_BLOCKS = 20  # parts of the drive that are taken for independent of each other
-_STEPS = 3  # readings of the slowest sensor in a stretch, at least
+
+class HeadingTest(NamedTuple):
+    """How dead reckoning and a pose are compared."""
+
+    chance: float = 4.0  # standard errors beyond which an effect is none by chance
+    windows: int = 400  # stretches that are compared, at most
+    blocks: int = 20  # parts of the drive that are taken for independent of each other
+    steps: int = 3  # readings of the slowest sensor in a stretch, at least
+
+
+_TEST = HeadingTest()
 
 
 class Recorded(NamedTuple):
@@ -31,12 +38,12 @@ def counts_from_north(motion: Recorded) -> bool | None:
 
     The robot goes where it heads: dead reckoning by the wheels' speed and the heading, read in
     both ways, is compared with the pose over stretches of time. One of them must explain the pose
-    better than the other by more than `CHANCE` standard errors, which hold the noise of the drive
-    itself. Which side of the robot is which does not matter to this. Where the robot goes hardly
-    anywhere, or along one line, the turning of the wheels decides, by the same bound.
+    better than the other by more than `_TEST.chance` standard errors, which hold the noise of the
+    drive itself. Which side of the robot is which does not matter to this. Where the robot goes
+    hardly anywhere, or along one line, the turning of the wheels decides, by the same bound.
     """
     left, right, east, north, yaw = map(usable, motion)
-    if min(map(len, (left.t, right.t, east.t, north.t, yaw.t))) < _BLOCKS:
+    if min(map(len, (left.t, right.t, east.t, north.t, yaw.t))) < _TEST.blocks:
         return None
     t = left.t
     other, angle = (align(one, t).values for one in (right, yaw))
@@ -44,11 +51,11 @@ def counts_from_north(motion: Recorded) -> bool | None:
     start = max(one.t[0] for one in (left, right, east, north, yaw))
     end = min(one.t[-1] for one in (left, right, east, north, yaw))
     step = max(float(np.median(np.diff(one.t))) for one in (left, right, east, north, yaw))
-    count = int(min(_WINDOWS, (end - start) / (_STEPS * step)))
-    if count < 2 * _BLOCKS:
+    count = int(min(_TEST.windows, (end - start) / (_TEST.steps * step)))
+    if count < 2 * _TEST.blocks:
         return None
     edges = np.linspace(start, end, count + 1)
-    block = np.arange(count) * _BLOCKS // count
+    block = np.arange(count) * _TEST.blocks // count
     lost = np.diff(np.interp(edges, t, integral(t, np.where(known, 0.0, 1.0))))
     whole = lost < 0.5 * (edges[1] - edges[0])
 
@@ -65,15 +72,15 @@ def counts_from_north(motion: Recorded) -> bool | None:
         fits.append(_fit(np.stack(ways, axis=1), moved, twice))
     best = min(fits, key=lambda one: one.rest)
     by_pose = best.apart(np.array([-1.0, 1.0]) * np.sign(best.values))
-    if abs(by_pose) > CHANCE:
+    if abs(by_pose) > _TEST.chance:
         return by_pose > 0.0
     rotation = np.diff(np.interp(edges, *yaw))[whole]
     treads = _fit(over(other - left.values)[:, None], rotation, block[whole])
     by_turning = treads.apart(np.ones(1))
-    return by_turning < 0.0 if abs(by_turning) > CHANCE else None
+    return by_turning < 0.0 if abs(by_turning) > _TEST.chance else None
 
 
-class _Turning(NamedTuple):
+class _LeastSquares(NamedTuple):
     values: FloatArray  # (k,): factors of the columns
     covariance: FloatArray  # (k, k): theirs, of blocks that are independent
     rest: float  # sum of the squares that are left
@@ -85,19 +92,19 @@ class _Turning(NamedTuple):
         return value / error if error > 0.0 else 0.0
 
 
-def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Turning:
+def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _LeastSquares:
     """Fit columns to readings by least squares; whole blocks of readings may share an error."""
     size = columns.shape[1]
     gram = columns.T @ columns
     if not np.all(np.diag(gram) > 0.0) or np.linalg.cond(gram) > 1e10:
-        return _Turning(np.zeros(size), np.zeros((size, size)), float(y @ y))
+        return _LeastSquares(np.zeros(size), np.zeros((size, size)), float(y @ y))
     inverse = np.linalg.inv(gram)
     values = inverse @ (columns.T @ y)
     rest = y - columns @ values
     scores = np.stack([
-        np.bincount(block, column * rest, _BLOCKS) for column in columns.T
+        np.bincount(block, column * rest, _TEST.blocks) for column in columns.T
     ])  # fmt: skip
-    covariance = inverse @ (scores @ scores.T) @ inverse * _BLOCKS / (_BLOCKS - 1)
+    covariance = inverse @ (scores @ scores.T) @ inverse * _TEST.blocks / (_TEST.blocks - 1)
     # Readings without any noise are exact to rounding.
     floor = (1e-12 * float(y @ y) / len(y)) * inverse
-    return _Turning(values, covariance + floor, float(rest @ rest))
+    return _LeastSquares(values, covariance + floor, float(rest @ rest))

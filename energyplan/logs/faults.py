@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +11,29 @@ from numpy.typing import NDArray
 from energyplan.logs.consistency import Check, Observed, regress
 from energyplan.path import FloatArray
 
-_ENOUGH = 20  # samples below which nothing is concluded
-_FED = 0.1  # of the mean power of driving, that flows back at rest where something feeds
-_STANDING = (1.0, 3.0)  # least time of one stretch, and of all, in which it does [s]
+
+class FaultLimits(NamedTuple):
+    """From which on readings show a fault."""
+
+    enough: int = 20  # samples below which nothing is concluded
+    fed: float = 0.1  # of the mean power of driving, that flows back at rest where something feeds
+    # least time of one stretch, and of all, in which it does [s]
+    standing: tuple[float, float] = (1.0, 3.0)
+    ceiling: float = 0.03  # of the largest reading, in which those at the end of a range lie
+    often: float = 0.1  # share of the driving in which they do, at least
+    beyond: float = 1.15  # times as much as they show, that the motion asks for there
+    longest_zero: int = 2  # samples that a speed is 0 for a moment, at most
+    some_zeros: float = 0.02  # share of the driving in which it is, at least
+
+
+_FAULT = FaultLimits()
 
 
 def charged(drive: Observed) -> Iterable[Check]:
     """Find power that flows back while the robot stands: a charger, or a panel, feeds it."""
     top = float(np.quantile(drive.effort, 0.95))
     rest, moving = drive.effort < 0.05 * top, drive.moving
-    drawn = float(drive.power[moving].mean()) if np.count_nonzero(moving) >= _ENOUGH else 0.0
+    drawn = float(drive.power[moving].mean()) if np.count_nonzero(moving) >= _FAULT.enough else 0.0
     if drawn <= 0.0:  # of the wrong sign, which is said elsewhere
         return
     found: list[tuple[float, float, float]] = []
@@ -30,9 +44,9 @@ def charged(drive: Observed) -> Iterable[Check]:
             lasting = float(drive.t[last - 1] - drive.t[first])
             mean = float(drive.power[first:last].mean())
             error = float(drive.power[first:last].std()) / np.sqrt(last - first)
-            if lasting >= _STANDING[0] and mean < -max(_FED * drawn, 4.0 * error):
+            if lasting >= _FAULT.standing[0] and mean < -max(_FAULT.fed * drawn, 4.0 * error):
                 found.append((lasting, mean, float(drive.t[first])))
-    if sum(lasting for lasting, _, _ in found) < _STANDING[1]:
+    if sum(lasting for lasting, _, _ in found) < _FAULT.standing[1]:
         return
     longest, mean, start = max(found)
     yield Check(
@@ -43,15 +57,10 @@ def charged(drive: Observed) -> Iterable[Check]:
     )
 
 
-_CEILING = 0.03  # of the largest reading, in which those at the end of a range lie
-_OFTEN = 0.1  # share of the driving in which they do, at least
-_BEYOND = 1.15  # times as much as they show, that the motion asks for there
-
-
 def ceiling(drive: Observed) -> Iterable[Check]:
     """Find readings that stop at the end of a sensor's range where the motion asks for more."""
     moving = drive.moving
-    if np.count_nonzero(moving) < 5 * _ENOUGH:
+    if np.count_nonzero(moving) < 5 * _FAULT.enough:
         return
     for name in drive.electric_names:
         values = drive.channels[name]
@@ -60,20 +69,24 @@ def ceiling(drive: Observed) -> Iterable[Check]:
             speed = drive.left if name == "p_left" else drive.right
             effort = np.abs(speed)
         high = float(np.max(values[moving]))
-        at_end = moving & (values >= (1.0 - _CEILING) * high)
+        at_end = moving & (values >= (1.0 - _FAULT.ceiling) * high)
         below = moving & ~at_end
         if high <= 0.0 or np.count_nonzero(at_end) < max(
-            _ENOUGH, _OFTEN * np.count_nonzero(moving)
+            _FAULT.enough, _FAULT.often * np.count_nonzero(moving)
         ):
             continue
-        if np.count_nonzero(below) < 2 * _ENOUGH:
+        if np.count_nonzero(below) < 2 * _FAULT.enough:
             continue
         shapes = [effort, turning, np.ones(len(values))]
         fit = regress([shape[below] for shape in shapes], values[below])
         asked = _sum(fit.values, [shape[at_end] for shape in shapes])
         read = values[at_end]
         spread = float(np.std(asked)) > 3.0 * float(np.std(read))
-        if fit.condition < 1e6 and spread and float(asked.mean()) > _BEYOND * float(read.mean()):
+        if (
+            fit.condition < 1e6
+            and spread
+            and float(asked.mean()) > _FAULT.beyond * float(read.mean())
+        ):
             share = np.count_nonzero(at_end) / np.count_nonzero(moving)
             unit = "A" if name == "current" else "W"
             yield Check(
@@ -85,10 +98,6 @@ def ceiling(drive: Observed) -> Iterable[Check]:
 
 def _sum(factors: FloatArray, shapes: list[FloatArray]) -> FloatArray:
     return np.asarray(factors @ np.stack(shapes))
-
-
-_LONGEST_ZERO = 2  # samples that a speed is 0 for a moment, at most
-_SOME_ZEROS = 0.02  # share of the driving in which it is, at least
 
 
 def zeros_between(drive: Observed) -> Iterable[Check]:
@@ -108,7 +117,7 @@ def zeros_between(drive: Observed) -> Iterable[Check]:
         low = np.minimum(speed[before] * np.sign(speed[after]), size[after])
         count = int(np.count_nonzero(low > 0.5 * typical))
         if typical > 0.0 and count >= max(
-            _ENOUGH, _SOME_ZEROS * np.count_nonzero(size > 0.5 * typical)
+            _FAULT.enough, _FAULT.some_zeros * np.count_nonzero(size > 0.5 * typical)
         ):
             found[name] = count
     if found:
@@ -127,5 +136,5 @@ def _short_zeros(speed: FloatArray) -> NDArray[np.bool_]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], zero.astype(int), [0]]))).reshape(-1, 2)
     result = np.zeros(len(speed), bool)
     for first, last in edges:
-        result[first:last] = last - first <= _LONGEST_ZERO and first > 0 and last < len(speed)
+        result[first:last] = last - first <= _FAULT.longest_zero and first > 0 and last < len(speed)
     return result
