@@ -38,11 +38,13 @@ from energyplan.cli.options import (
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
+    from energyplan.cost import EnergyCost
     from energyplan.io.sites import ModelOnSite
-    from energyplan.mission import Mission
+    from energyplan.mission import Mission, MissionReport
     from energyplan.path import Pose
     from energyplan.planning import Goal, Plan, PlanningProblem
     from energyplan.power import PowerModel
+    from energyplan.reach import UsableCharge
     from energyplan.terrain import Site
 
     Goals = tuple[Goal, ...]
@@ -373,6 +375,55 @@ def check(
     verdict(report.feasible, strict)
 
 
+@dataclass(frozen=True)
+class EnergyOptions:
+    """The energy at hand, as joules or as a battery's charge."""
+
+    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None
+    battery: Annotated[
+        str | None,
+        Option(
+            metavar="BATTERY",
+            help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
+        ),
+    ] = None
+    soc: Annotated[
+        str | None, Option(help="State of charge at the start, as 80%. Default: full.")
+    ] = None
+    reserve: Annotated[
+        str,
+        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
+    ] = "0"
+
+    def __post_init__(self) -> None:
+        if self.battery and self.energy is not None:
+            raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
+        if self.energy == math.inf:
+            raise InvalidInputError("--energy is infinite; leave it out for the whole map")
+        if self.soc is not None and self.battery is None:
+            raise InvalidInputError(
+                "--soc is the charge of a battery; give --battery, or leave it out"
+            )
+
+    def usable(self, cost: EnergyCost) -> float | UsableCharge | None:
+        """Return what may be used; None where neither is given."""
+        kept = _fraction("--reserve", self.reserve)
+        if self.battery:
+            from energyplan.io.mission import read_battery  # with all of missions
+            from energyplan.reach import UsableCharge
+
+            charge = 1.0 if self.soc is None else _fraction("--soc", self.soc)
+            pack = read_battery(self.battery)
+            for note in pack.notes:
+                warn(note)
+            return UsableCharge(cost, pack, charge, kept)
+        if self.energy is not None and kept == 1.0:
+            raise InvalidInputError(
+                f"--reserve {self.reserve} leaves nothing of the energy; keep less"
+            )
+        return None if self.energy is None else (1.0 - kept) * self.energy
+
+
 @app.command(
     name="range",
     epilog="Example: energyplan range --map warehouse.yaml --model quadriga:empty:concrete "
@@ -383,21 +434,7 @@ def reach(
     model: opt.ModelName,
     start: opt.PoseText,
     home: ReturnOptions,
-    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
-    battery: Annotated[
-        str | None,
-        Option(
-            metavar="BATTERY",
-            help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
-        ),
-    ] = None,
-    soc: Annotated[
-        str | None, Option(help="State of charge at the start, as 80%. Default: full.")
-    ] = None,
-    reserve: Annotated[
-        str,
-        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
-    ] = "0",
+    at_hand: EnergyOptions,
     at_battery: opt.AtBattery = False,
     confidence: Annotated[
         float | None,
@@ -424,33 +461,15 @@ def reach(
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.reach import UsableCharge, energy_map
+    from energyplan.reach import energy_map
 
-    if battery and energy is not None:
-        raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
-    if energy == math.inf:
-        raise InvalidInputError("--energy is infinite; leave it out for the whole map")
-    if soc is not None and battery is None:
-        raise InvalidInputError("--soc is the charge of a battery; give --battery, or leave it out")
     if spread and confidence is None:
         raise InvalidInputError("--spread needs --confidence; give both")
-    kept = _fraction("--reserve", reserve)
-    usable: float | UsableCharge | None = None
     pose = parse_pose(start)
     # what a battery delivers is measured at the battery
-    drive = DriveOptions(model, at_battery=at_battery or battery is not None)
+    drive = DriveOptions(model, at_battery=at_battery or at_hand.battery is not None)
     problem = problem_of(SiteOptions(map_file), drive, pose, pose, reverse)
-    if battery:
-        from energyplan.io.mission import read_battery  # with all of missions
-
-        charge, pack = 1.0 if soc is None else _fraction("--soc", soc), read_battery(battery)
-        for note in pack.notes:
-            warn(note)
-        usable = UsableCharge(problem.cost, pack, charge, kept)
-    elif energy is not None:
-        if kept == 1.0:
-            raise InvalidInputError(f"--reserve {reserve} leaves nothing of the energy; keep less")
-        usable = (1.0 - kept) * energy
+    usable = at_hand.usable(problem.cost)
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
@@ -477,12 +496,63 @@ def _fraction(option: str, text: str) -> float:
     return value
 
 
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where many missions are evaluated, and where their lines go."""
+
+    cluster: Annotated[
+        str | None,
+        Option(
+            metavar="ADDRESS",
+            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
+            "of this machine, local: a JSON line for each.",
+        ),
+    ] = None
+    insecure_cluster: Annotated[
+        bool,
+        Option(
+            "--insecure-cluster",
+            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
+        ),
+    ] = False
+    cluster_ca: Annotated[
+        Path | None,
+        Option(
+            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
+        ),
+    ] = None
+    cluster_cert: Annotated[
+        Path | None,
+        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
+    ] = None
+    cluster_key: Annotated[
+        Path | None,
+        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
+    ] = None
+    results: Annotated[
+        Path | None,
+        opt.output(
+            "With --cluster: add the lines to this file; missions that it has are skipped.",
+            ".jsonl",
+        ),
+    ] = None
+
+    @property
+    def access(self) -> dict[str, Any]:
+        """What a cluster is reached with."""
+        return {
+            "insecure": self.insecure_cluster, "ca": self.cluster_ca,
+            "certificate": self.cluster_cert, "key": self.cluster_key,
+        }  # fmt: skip
+
+
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
     files: Annotated[
         list[Path],
         Argument(metavar="MISSION.yaml...", help="Its keys are listed in docs/missions."),
     ],
+    *,
     effort: opt.Work = None,
     reverse: opt.Reverse = None,
     fail: Annotated[
@@ -497,42 +567,7 @@ def mission(
         Path | None,
         opt.output("Write each drive to this folder (t,x,y,yaw,v,omega), and into --json."),
     ] = None,
-    cluster: Annotated[
-        str | None,
-        Option(
-            metavar="ADDRESS",
-            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
-            "of this machine, local: a JSON line for each.",
-        ),
-    ] = None,
-    insecure_cluster: Annotated[
-        bool,
-        Option(
-            "--insecure-cluster",
-            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
-        ),
-    ] = False,
-    cluster_ca: Annotated[
-        Path | None,
-        Option(
-            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
-        ),
-    ] = None,
-    cluster_cert: Annotated[
-        Path | None,
-        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
-    ] = None,
-    cluster_key: Annotated[
-        Path | None,
-        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
-    ] = None,
-    results: Annotated[
-        Path | None,
-        opt.output(
-            "With --cluster: add the lines to this file; missions that it has are skipped.",
-            ".jsonl",
-        ),
-    ] = None,
+    many: ClusterOptions,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -541,22 +576,19 @@ def mission(
     Names the tasks that cannot be done, why, and what would change that. A file with robots is
     shared between them: which robot does which task, and when it charges.
     """
-    from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
-    if cluster is not None:
+    if many.cluster is not None:
         if report or trajectories or fail or strict:
             raise InvalidInputError(
                 "--report, --trajectories, --fail and --strict are of one mission; leave them out"
             )
-        tls = {"ca": cluster_ca, "certificate": cluster_cert, "key": cluster_key}
-        access = {"insecure": insecure_cluster, **tls}
-        _many(files, cluster, access, results, effort=effort, reverse=reverse)
+        _many(files, many.cluster, many.access, many.results, effort=effort, reverse=reverse)
         return
-    if cluster_ca or cluster_cert or cluster_key:
+    if many.cluster_ca or many.cluster_cert or many.cluster_key:
         raise InvalidInputError("--cluster-ca, --cluster-cert and --cluster-key need --cluster")
-    if len(files) > 1 or results:
+    if len(files) > 1 or many.results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
     wanted = _read_mission(files[0], effort, reverse)
     if fail is not None and not wanted.robots:
@@ -567,11 +599,7 @@ def mission(
         after = evaluate(result.after_failure(name, instant)) if name else None
     failure = text.failure(result, name, instant) if name else ""
     if trajectories:
-        trajectories.mkdir(parents=True, exist_ok=True)
-        for r, one in enumerate(result.robots or (result,), start=1):
-            robot = f"robot_{r:02d}_" if result.robots else ""
-            for k, leg in enumerate(one.legs, start=1):
-                write_trajectory(leg.trajectory, trajectories / f"{robot}leg_{k:02d}.csv")
+        _write_trajectories(result, trajectories)
     if report:
         from energyplan.output.pages import mission_page
 
@@ -584,6 +612,17 @@ def mission(
     then = following("serve", files[0].parent, keep="") if report else shown
     answer(document, lines, json=json, then=then)
     verdict(result.feasible and (after is None or after.feasible), strict)
+
+
+def _write_trajectories(result: MissionReport, folder: Path) -> None:
+    """Write each drive of a mission to a file of its own."""
+    from energyplan.io.tables import write_trajectory
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for r, one in enumerate(result.robots or (result,), start=1):
+        robot = f"robot_{r:02d}_" if result.robots else ""
+        for k, leg in enumerate(one.legs, start=1):
+            write_trajectory(leg.trajectory, folder / f"{robot}leg_{k:02d}.csv")
 
 
 def _many(

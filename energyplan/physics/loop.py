@@ -286,6 +286,33 @@ Source = EngineDrives | Sequence[DriveLog]
 # -- the loop -------------------------------------------------------------------------------------
 
 
+class Foreseen(NamedTuple):
+    """What a model says of a drive before it learns from it."""
+
+    energy: float  # [J]
+    motion: Motion
+    weights: FloatArray  # time of each row of the motion [s]
+    known: list[float]  # measured over predicted energy of the drives before
+
+    @classmethod
+    def of_log(cls, model: PowerModel, log: DriveLog, before: Sequence[DriveLog]) -> Foreseen:
+        """Replay a log, and those before it."""
+        prepared = Drive.of(log, model.vehicle)
+        known = [one.energy / replayed_energy(model, one) for one in before]
+        return cls(replayed_energy(model, log), prepared.motion, prepared.weights, known)
+
+    def judged(
+        self, planned: Plan, model: PowerModel, log: DriveLog, driven: Driven | None, learned: bool
+    ) -> Round:
+        """Return the round; drives before it count where the model has learned from them."""
+        beyond = RunEffect.of(self.known if learned else (), model.residual)
+        interval = with_interval(self.energy, beyond, model, self.motion, self.weights)
+        return Round(
+            self.energy * (1.0 + beyond.mean), None if interval is None else interval[1:],
+            log.energy, planned, model, (), log, driven, overhead=beyond.mean,
+        )  # fmt: skip
+
+
 def close_loop(
     problem: PlanningProblem,
     source: Source,
@@ -327,25 +354,17 @@ def close_loop(
         if isinstance(source, EngineDrives):
             driven = source(trajectory, priced.cost.model, k + 1)
             log = source.log(driven, k + 1)
-            energy = predicted_energy(trajectory, priced)
-            motion = _followed(trajectory, model, problem.heights)
-            weights = np.diff(trajectory.t)
             known = [ratio(one, model, priced, problem.heights) for one in steered]
+            motion = _followed(trajectory, model, problem.heights)
+            foreseen = Foreseen(
+                predicted_energy(trajectory, priced), motion, np.diff(trajectory.t), known
+            )
             steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
-            prepared = Drive.of(log, model.vehicle)
-            motion, weights = prepared.motion, prepared.weights
-            energy = replayed_energy(model, log)
-            known = [one.energy / replayed_energy(model, one) for one in logs]
-        # Only of a model that has learned from them do drives say how it fares with the next.
-        beyond = RunEffect.of(known if model is not problem.cost.model else (), model.residual)
-        interval = with_interval(energy, beyond, model, motion, weights)
+            foreseen = Foreseen.of_log(model, log, logs)
         logs.append(log)
-        now = Round(
-            energy * (1.0 + beyond.mean), None if interval is None else interval[1:], log.energy,
-            planned, model, (), log, driven, overhead=beyond.mean,
-        )  # fmt: skip
+        now = foreseen.judged(planned, model, log, driven, model is not problem.cost.model)
         if now.within or abs(now.error) <= tolerance:
             return Loop((*done, now), model, True)
         report((k + 0.6) / count, f"round {k + 1}: diagnosing")

@@ -238,9 +238,7 @@ def _borders(robot: EngineRobot, size: float, details: Mapping[str, float]) -> E
 class EffectKind:
     """A kind of effect."""
 
-    apply: (
-        _Apply | str
-    )  # ``apply(robot, size, details) -> EngineRobot``, or the value that grows by it
+    apply: _Apply | str  # from robot, size and details to a robot, or the value that grows by it
     unit: str  # unit of the size
     meaning: str  # one line
     draw: _Draw  # ``draw(robot, rng) -> float``, a size large enough to find

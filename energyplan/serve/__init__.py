@@ -119,18 +119,23 @@ def listen(host: str, port: int) -> socket.socket:
     return listening
 
 
+def _most_connections() -> int:
+    """Return how many connections there may be at once."""
+    with suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        return min(_MOST, files // 3) if files > 0 else _MOST
+    return _MOST
+
+
 def server(app: FastAPI) -> Any:
     """Return what serves an application; it stops all work when it ends."""
     with needs_extra("serve", "the service"):
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    most = _MOST
-    with suppress(ImportError):  # Windows has no such limit
-        import resource
-
-        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        most = min(most, files // 3) if files > 0 else most
+    most = _most_connections()
 
     class Bounded(H11Protocol):
         """A connection that ends where nothing moves, as uvicorn has no end to an unread answer.
