@@ -286,7 +286,7 @@ Source = EngineDrives | Sequence[DriveLog]
 # -- the loop -------------------------------------------------------------------------------------
 
 
-class Foreseen(NamedTuple):
+class PredictedDrive(NamedTuple):
     """What a model says of a drive before it learns from it."""
 
     energy: float  # [J]
@@ -295,7 +295,7 @@ class Foreseen(NamedTuple):
     known: list[float]  # measured over predicted energy of the drives before
 
     @classmethod
-    def of_log(cls, model: PowerModel, log: DriveLog, before: Sequence[DriveLog]) -> Foreseen:
+    def of_log(cls, model: PowerModel, log: DriveLog, before: Sequence[DriveLog]) -> PredictedDrive:
         """Replay a log, and those before it."""
         prepared = Drive.of(log, model.vehicle)
         known = [one.energy / replayed_energy(model, one) for one in before]
@@ -356,15 +356,15 @@ def close_loop(
             log = source.log(driven, k + 1)
             known = [ratio(one, model, priced, problem.heights) for one in steered]
             motion = _followed(trajectory, model, problem.heights)
-            foreseen = Foreseen(
+            predicted = PredictedDrive(
                 predicted_energy(trajectory, priced), motion, np.diff(trajectory.t), known
             )
             steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
-            foreseen = Foreseen.of_log(model, log, logs)
+            predicted = PredictedDrive.of_log(model, log, logs)
         logs.append(log)
-        now = foreseen.judged(planned, model, log, driven, model is not problem.cost.model)
+        now = predicted.judged(planned, model, log, driven, model is not problem.cost.model)
         if now.within or abs(now.error) <= tolerance:
             return Loop((*done, now), model, True)
         report((k + 0.6) / count, f"round {k + 1}: diagnosing")
