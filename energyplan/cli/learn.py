@@ -171,8 +171,8 @@ def _write_start(result: Start, logs: list[Path], out: Path | None) -> str:
     if out is None:
         return "give --out PROJECT.yaml to write it as a project"
     write_project(result.project, out)
-    files = " ".join(map(str, logs))
-    return f"written: {out}; next: energyplan diagnose {files} --project {out} --out model.yaml"
+    then = following("diagnose", *logs, "--project", out, "--out", "model.yaml", keep="")
+    return f"written: {out}; next: {then}"
 
 
 def _start_map(
@@ -190,8 +190,8 @@ def _start_map(
         done = "give --out MAP.yaml to write its YAML"
     else:
         grid = write_map_of_image(image, resolution, out)
-        done = f"written: {out}; next: energyplan compare --map {out} --model MODEL --start X,Y,YAW"
-        done += " --goal X,Y,YAW"
+        words = ("--map", out, "--model", "MODEL", "--start", "X,Y,YAW", "--goal", "X,Y,YAW")
+        done = f"written: {out}; next: {following('compare', *words, keep='')}"
     if plot is not None:
         from energyplan.output import plots
 

@@ -28,17 +28,18 @@ from energyplan.cli.answers import (
 )
 from energyplan.cli.app import app
 from energyplan.cli.options import (
+    BatteryOptions,
     DriveOptions,
     Effort,
     GoalOptions,
+    Pack,
     ReturnOptions,
     SiteOptions,
-    number,
+    fraction,
 )
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
-    from energyplan.cost import EnergyCost
     from energyplan.io.sites import ModelOnSite
     from energyplan.mission import Mission, MissionReport
     from energyplan.path import Pose
@@ -95,7 +96,7 @@ class Routing:
         if self.trajectory is None:
             return following("plan", "--trajectory", "drive.csv", keep=opt.OF_ROUTE)
         ground = "--map " if site.resolution is None else ""
-        return following("check", self.trajectory, keep=f"{ground}--model")
+        return following("check", self.trajectory, keep=f"{ground}--model --battery --soc")
 
     def write(self, problem: PlanningProblem, plans: dict[str, Plan]) -> None:
         """Write the first of some plans as a table, or all as a recording; draw them all."""
@@ -204,6 +205,7 @@ def plan(
     effort: Effort,
     routing: Routing,
     goals: GoalOptions,
+    supply: BatteryOptions,
     former: Annotated[
         Path | None,
         Option(
@@ -230,9 +232,9 @@ def plan(
     Prints its energy, and how far from optimal it can be at most.
     """
     from energyplan.io.tables import read_path
-    from energyplan.output import documents
+    from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.planning import plan as run
+    from energyplan.planning import plan as search
     from energyplan.planning.replanning import replan
 
     if former is None and not goals.goal:
@@ -243,17 +245,18 @@ def plan(
         raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
     if former is not None and routing.planner != "lattice":
         raise InvalidInputError(f"--former needs the planner lattice, not {routing.planner}")
-    here = parse_pose(start)
+    here, pack = parse_pose(start), supply.pack
     there = goals.goals if goals.goal else here
     problem = routing.problem(
-        site, drive, here, there, objective=objective, costmap_weight=costmap_weight
-    )
+        site, supply.measured(drive), here, there, objective=objective,
+        costmap_weight=costmap_weight,
+    )  # fmt: skip
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
     spent = asdict(effort)
     if former is None:
         with planning(json, strict):
-            result = run(problem, planner=routing.planner, **spent)
+            result = search(problem, planner=routing.planner, **spent)
     else:
         path = read_path(former, problem.cost.icr.longitudinal)
         with planning(json, strict):
@@ -261,7 +264,9 @@ def plan(
     drive_to(routing.trajectory, result)
     routing.write(problem, {"plan": result})
     then = routing.next(site) if former is None else ""
-    answer(documents.plan(result), result, json=json, then=then)
+    run = None if pack is None else result.drawn(*pack)
+    lines = [result, *text.battery(run)]
+    answer(documents.plan(result, run), lines, json=json, then=then)
 
 
 @app.command(
@@ -275,6 +280,7 @@ def compare(
     effort: Effort,
     routing: Routing,
     goals: GoalOptions,
+    supply: BatteryOptions,
     report: opt.Report = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
@@ -283,13 +289,14 @@ def compare(
 
     Plans the route of least energy and the shortest one, and prices both by the same model.
     """
-    from energyplan.comparison import compare as run
-    from energyplan.output import documents
+    from energyplan.comparison import compare as search
+    from energyplan.output import documents, text
     from energyplan.path import parse_pose
 
-    problem = routing.problem(site, drive, parse_pose(start), goals.goals)
+    pack = supply.pack
+    problem = routing.problem(site, supply.measured(drive), parse_pose(start), goals.goals)
     with planning(json, strict):
-        result = run(problem, planner=routing.planner, **asdict(effort))
+        result = search(problem, planner=routing.planner, **asdict(effort))
     drive_to(routing.trajectory, result.energy_optimal)
     if result.shortest.path != result.energy_optimal.path:
         drive_to(None, result.shortest)
@@ -298,7 +305,11 @@ def compare(
         from energyplan.output.pages import comparison_page
 
         write_report(comparison_page(result, problem), report)
-    answer(documents.comparison(result), result, json=json, then=routing.next(site))
+    both = result.energy_optimal, result.shortest
+    runs = [None if pack is None else one.drawn(*pack) for one in both]
+    named = zip(runs, ("least energy", "shortest"), strict=True)
+    lines = [str(result), *(line for one in named for line in text.battery(*one))]
+    answer(documents.comparison(result, *runs), lines, json=json, then=routing.next(site))
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
@@ -308,6 +319,7 @@ def check(
         Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
     ],
     drive: DriveOptions,
+    supply: BatteryOptions,
     map_file: opt.MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     out: Annotated[
@@ -331,13 +343,14 @@ def check(
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
     from energyplan.io.tables import read_drive, write_trajectory
-    from energyplan.limits.feasibility import check as run
-    from energyplan.output import documents
+    from energyplan.limits.drive import Ground, Traversal, drawn
+    from energyplan.limits.feasibility import check as test
+    from energyplan.output import documents, text
     from energyplan.path import Trajectory
     from energyplan.planning.driven import drive_path, priced_models
 
-    driven = ground_of(drive, read_site(map_file) if map_file else None)
-    cost = driven.cost(drive.at_battery, drive.speed)
+    driven, pack = ground_of(drive, read_site(map_file) if map_file else None), supply.pack
+    cost = driven.cost(supply.measured(drive).at_battery, drive.speed)
     ground, hills = (driven.site.surfaces, driven.site.heights) if driven.site else (None, None)
     limits = read_vehicle(vehicle) if vehicle else None
     if limits is not None:
@@ -355,9 +368,13 @@ def check(
             "path of x,y,yaw"
         )
     law, ground = priced_models(cost, ground)
-    report = run(found, law, limits, surfaces=ground, heights=hills)
-    document = {**documents.feasibility(report), "out_duration": None}
-    lines = str(report).splitlines()
+    report = test(found, law, limits, surfaces=ground, heights=hills)
+    run = None
+    if pack is not None:
+        energies = Traversal(found, Ground(law, ground, hills)).interval_energies()
+        run = drawn(pack.battery, found.t, energies, pack.soc)
+    document = {**documents.feasibility(report, run), "out_duration": None}
+    lines = [*str(report).splitlines(), *text.battery(run)]
     if out and report.max_speed_scale > 0:
         share = 1.0 if report.feasible else report.max_speed_scale
         slowed = found if report.feasible else found.scaled(share)
@@ -368,7 +385,7 @@ def check(
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
     then = following("mission", "MISSION.yaml", keep="")
     if not report.feasible:
-        kept = "--map --model --at-battery --speed --vehicle"
+        kept = "--map --model --at-battery --battery --soc --speed --vehicle"
         slower = following("check", trajectory, "--out", "slower.csv", keep=kept)
         then = "" if out or report.max_speed_scale <= 0 else slower
     answer(document, lines, json=json, then=then)
@@ -377,46 +394,21 @@ def check(
 
 @dataclass(frozen=True)
 class EnergyOptions:
-    """The energy at hand, as joules or as a battery's charge."""
+    """The energy at hand, where no battery says it, and what is kept of either."""
 
     energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None
-    battery: Annotated[
-        str | None,
-        Option(
-            metavar="BATTERY",
-            help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
-        ),
-    ] = None
-    soc: Annotated[
-        str | None, Option(help="State of charge at the start, as 80%. Default: full.")
-    ] = None
     reserve: Annotated[
         str,
         Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
     ] = "0"
 
-    def __post_init__(self) -> None:
-        if self.battery and self.energy is not None:
-            raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
-        if self.energy == math.inf:
-            raise InvalidInputError("--energy is infinite; leave it out for the whole map")
-        if self.soc is not None and self.battery is None:
-            raise InvalidInputError(
-                "--soc is the charge of a battery; give --battery, or leave it out"
-            )
+    def usable(self, problem: PlanningProblem, pack: Pack | None) -> float | UsableCharge | None:
+        """Return what may be used of it, or of a battery; None where neither is given."""
+        from energyplan.reach import UsableCharge
 
-    def usable(self, cost: EnergyCost) -> float | UsableCharge | None:
-        """Return what may be used; None where neither is given."""
-        kept = _fraction("--reserve", self.reserve)
-        if self.battery:
-            from energyplan.io.mission import read_battery  # with all of missions
-            from energyplan.reach import UsableCharge
-
-            charge = 1.0 if self.soc is None else _fraction("--soc", self.soc)
-            pack = read_battery(self.battery)
-            for note in pack.notes:
-                warn(note)
-            return UsableCharge(cost, pack, charge, kept)
+        kept = fraction("--reserve", self.reserve)
+        if pack is not None:
+            return UsableCharge(problem.cost, *pack, kept)
         if self.energy is not None and kept == 1.0:
             raise InvalidInputError(
                 f"--reserve {self.reserve} leaves nothing of the energy; keep less"
@@ -434,6 +426,7 @@ def reach(
     model: opt.ModelName,
     start: opt.PoseText,
     home: ReturnOptions,
+    supply: BatteryOptions,
     at_hand: EnergyOptions,
     at_battery: opt.AtBattery = False,
     confidence: Annotated[
@@ -463,13 +456,16 @@ def reach(
     from energyplan.path import parse_pose
     from energyplan.reach import energy_map
 
+    if supply.battery and at_hand.energy is not None:
+        raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
+    if at_hand.energy == math.inf:
+        raise InvalidInputError("--energy is infinite; leave it out for the whole map")
     if spread and confidence is None:
         raise InvalidInputError("--spread needs --confidence; give both")
-    pose = parse_pose(start)
-    # what a battery delivers is measured at the battery
-    drive = DriveOptions(model, at_battery=at_battery or at_hand.battery is not None)
+    pose, pack = parse_pose(start), supply.pack
+    drive = supply.measured(DriveOptions(model, at_battery=at_battery))
     problem = problem_of(SiteOptions(map_file), drive, pose, pose, reverse)
-    usable = at_hand.usable(problem.cost)
+    usable = at_hand.usable(problem, pack)
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
@@ -487,13 +483,6 @@ def reach(
 
         atomic_write(plot, image(plots.energy_map(found, problem.map), plot.suffix))
     answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)
-
-
-def _fraction(option: str, text: str) -> float:
-    value = number(option, "fraction", text)
-    if not 0.0 <= value <= 1.0:
-        raise InvalidInputError(f"{option} {text} is not between 0 and 1; give a part, as 80%")
-    return value
 
 
 @dataclass(frozen=True)

@@ -280,13 +280,15 @@ class EnergyCost(SteadyDriving):
         """
         return lower_bound(self._element_energy, self.icr, point)
 
-    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates:
+    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates | None:
         """Return what no drive takes less than, where a joule and a second are weighed.
 
         Drives pass all speeds from a standstill up to the largest; a motion may take less at one of
-        them than at the speed that it is priced at.
+        them than at the speed that it is priced at. None where nothing limits the tread speed.
         """
         top = min(self.vehicle.motor.speed, self.tread_speed or np.inf)
+        if not np.isfinite(top):
+            return None
 
         def price(x: FloatArray, y: FloatArray) -> FloatArray:
             joules = self._element_energy(x, y) if energy else 0.0

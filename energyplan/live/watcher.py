@@ -32,7 +32,7 @@ from energyplan.logs.consistency import contradictions
 from energyplan.logs.mapping import Column
 from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Pose, wrap_angle
+from energyplan.path import PLACE, FloatArray, Path, Pose, wrap_angle
 from energyplan.power import PowerModel
 from energyplan.records import checked
 from energyplan.vehicle import Vehicle
@@ -46,6 +46,8 @@ class WatchLimits(NamedTuple):
     restart: int = 10
     checked: float = 60.0  # time driven after which what was read so far is checked as a log is [s]
     still: float = 0.02  # speed of the treads below which a robot stands [m/s]
+    # distance of places on a path among which the robot's is found [m], and turn [rad]
+    fine: float = 0.05
     # poses of a path, as far apart as is near, that a drive may pass between samples
     ahead: int = 10
     facing: float = 0.6  # largest difference of heading at which a robot is at a task's pose [rad]
@@ -209,6 +211,14 @@ def _power(model: PowerModel, samples: Sequence[Sample]) -> FloatArray:
     return np.asarray(model.power(motion))
 
 
+class _Rest(NamedTuple):
+    """What is left of a path."""
+
+    poses: FloatArray  # (n, 3): along it, from where the robot is
+    driven: float  # how far it is driven [m]
+    on_it: bool  # whether the robot is on it
+
+
 class _Watch:
     def __init__(
         self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings,
@@ -230,12 +240,14 @@ class _Watch:
         self._back: list[Sample] = []
         self._told_at = self._looked_at = -inf
         self._stood: dict[str, float] = {}
-        self._rows: dict[tuple[str, int], FloatArray] = {}  # poses along paths, in each direction
+        self._paths: dict[tuple[str, int], Path] = {}  # of tasks, in each direction
+        self._rows: dict[tuple[str, int], FloatArray] = {}  # poses along them
         self._passed: Counter[tuple[str, int]] = Counter()  # how many of them were passed
         if mission is not None:
             for task in mission.tasks:
                 for k, one in enumerate(task.options if task.path else ()):
                     path = one.path(mission.vehicle.icr.longitudinal)
+                    self._paths[task.name, k] = path
                     self._rows[task.name, k] = path.poses(settings.near, _WATCH.facing)
         self._polarisation = 0.0
         self._soc = settings.soc
@@ -506,6 +518,31 @@ class _Watch:
                 self._passed[row] = k + 1
         return self._passed[row] == len(poses)
 
+    def _begun(self) -> dict[str, _Rest]:
+        """Return what is left of the paths that are driven in part, by task."""
+        found: dict[str, _Rest] = {}
+        for row in sorted(self._rows, key=lambda row: self._passed[row]):
+            passed = self._passed[row]
+            if row[0] not in self._known and 1 < passed < len(self._rows[row]):
+                found[row[0]] = self._rest(self._paths[row], self._rows[row][passed - 1])
+        return found
+
+    def _rest(self, path: Path, last: FloatArray) -> _Rest:
+        """Return what is left of a path from where the robot is on it, or from the last pose."""
+        assert self._pose is not None
+        fine = path.subdivide(_WATCH.fine, _WATCH.fine)
+        poses = fine.vertices
+        along, ends = (
+            np.append(0.0, np.cumsum(np.abs(one.ds) + np.abs(one.dtheta))) for one in (fine, path)
+        )
+        at = int(np.argmin(np.abs(poses - last).sum(axis=1)))
+        away = np.hypot(poses[:, 0] - self._pose.x, poses[:, 1] - self._pose.y)
+        away[np.abs(along - along[at]) > 2 * self._settings.near] = inf
+        on_it = bool(away.min() <= self._settings.near)
+        at = int(away.argmin()) if on_it else at
+        ahead = path.vertices[ends > along[at] + PLACE]
+        return _Rest(np.vstack([poses[at], ahead]), float(np.abs(fine.ds[:at]).sum()), on_it)
+
     def _charge(self) -> float:
         """Return the state of charge now, by the energy that was drawn since it was last known."""
         soc = 1.0 if self._soc is None else self._soc
@@ -538,11 +575,19 @@ class _Watch:
         soc = self._charge()
         done = tuple(task.name for task in mission.tasks if task.name in self._known)
         if len(done) == len(mission.tasks):
-            yield Reassessed(self._last, pose, soc, done, None)
+            yield Reassessed(self._last, pose, soc, done, {}, None)
             return
+        begun = {name: one for name, one in self._begun().items() if len(one.poses) > 1}
+        # one that follows a path, a little beside it, goes on along it
+        now = next((one.poses[0] for one in begun.values() if one.on_it), pose)
         try:
-            rest = self._corrected(mission).resume(pose, soc, done, time=mission.time + self._clock)
-            yield Reassessed(self._last, pose, soc, done, evaluate(rest, routes=self._routes))
+            rest = self._corrected(mission).resume(
+                now, soc, done, time=mission.time + self._clock,
+                rows={name: one.poses for name, one in begun.items()},
+            )  # fmt: skip
+            driven = {name: one.driven for name, one in begun.items()}
+            report = evaluate(rest, routes=self._routes)
+            yield Reassessed(self._last, pose, soc, done, driven, report)
         except EnergyPlanError as problem:
             yield Trouble(f"at {self._last:g} s", f"the mission cannot be looked at: {problem}")
 

@@ -253,7 +253,10 @@ def _driven_rates(problem: PlanningProblem) -> DrivenRates | None:
         ):
             return None
     rates = [cost.driven_rates(energy, prices.of_time(k)) for k, cost in enumerate(costs)]
-    share, still, quickest = zip(*rates, strict=True)
+    known_rates = [one for one in rates if one is not None]
+    if len(known_rates) < len(rates):
+        return None
+    share, still, quickest = zip(*known_rates, strict=True)
     return DrivenRates(min(share), min(still), max(quickest))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple
@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from energyplan.cost import EnergyCost
-from energyplan.errors import MapError
+from energyplan.errors import InvalidInputError, MapError
 from energyplan.path import FloatArray, Path, Pose
 from energyplan.power import PowerModel
 from energyplan.power.effects import (
@@ -160,9 +160,6 @@ def path_price(
 ) -> PathPrice:
     """Return what a path costs on surfaces and slopes."""
     pieces = path_pieces(path, cost, surfaces, heights)
-    timed = all(
-        p.cost.tread_speed is not None or p.cost.vehicle.motor.speed < np.inf for p in pieces
-    )
     by_term: dict[str, float] = {}
     for piece in pieces:
         for name, joules in piece.cost.breakdown(piece.path, piece.slope, piece.yaw).items():
@@ -170,9 +167,17 @@ def path_price(
     return PathPrice(
         energy=float(sum(p.energy for p in pieces)),
         by_term=by_term,
-        duration=float(sum(p.cost.duration(p.path) for p in pieces)) if timed else np.nan,
+        duration=_duration(pieces),
         seconds=float(sum(p.second * p.cost.duration(p.path) for p in pieces if p.second)),
     )
+
+
+def _duration(pieces: Sequence[Piece]) -> float:
+    """Return the time that pieces take at steady speeds [s]; NaN where nothing limits the speed."""
+    try:
+        return float(sum(piece.cost.duration(piece.path) for piece in pieces))
+    except InvalidInputError:
+        return np.nan
 
 
 @dataclass(frozen=True, eq=False)
