@@ -42,7 +42,7 @@ from energyplan.errors import InvalidInputError, NoPathError
 if TYPE_CHECKING:
     from energyplan.io.sites import ModelOnSite
     from energyplan.mission import Mission, MissionReport
-    from energyplan.path import Pose
+    from energyplan.path import Pose, Trajectory
     from energyplan.planning import Goal, Plan, PlanningProblem
     from energyplan.power import PowerModel
     from energyplan.reach import UsableCharge
@@ -338,11 +338,9 @@ def check(
     If they cannot, says where and why, and how fast the robot could drive it.
     """
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
-    from energyplan.html import number as figure
-    from energyplan.html import share as percent
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
-    from energyplan.io.tables import read_drive, write_trajectory
+    from energyplan.io.tables import read_drive
     from energyplan.limits.drive import Ground, Traversal, drawn
     from energyplan.limits.feasibility import check as test
     from energyplan.output import documents, text
@@ -375,12 +373,11 @@ def check(
         run = drawn(pack.battery, found.t, energies, pack.soc)
     document = {**documents.feasibility(report, run), "out_duration": None}
     lines = [*str(report).splitlines(), *text.battery(run)]
-    if out and report.max_speed_scale > 0:
-        share = 1.0 if report.feasible else report.max_speed_scale
+    share = 1.0 if report.feasible else report.max_speed_scale
+    if out and share > 0:
         slowed = found if report.feasible else found.scaled(share)
-        write_trajectory(slowed, out)
         document["out_duration"] = slowed.duration
-        lines.append(f"{out}: {figure(slowed.duration)} s, at {percent(share)} of these speeds")
+        lines.append(_write_slowed(slowed, share, out))
     elif out:
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
     then = following("mission", "MISSION.yaml", keep="")
@@ -390,6 +387,15 @@ def check(
         then = "" if out or report.max_speed_scale <= 0 else slower
     answer(document, lines, json=json, then=then)
     verdict(report.feasible, strict)
+
+
+def _write_slowed(slowed: Trajectory, part: float, out: Path) -> str:
+    """Write a trajectory that the motors can drive; return the line that says so."""
+    from energyplan.html import number, share
+    from energyplan.io.tables import write_trajectory
+
+    write_trajectory(slowed, out)
+    return f"{out}: {number(slowed.duration)} s, at {share(part)} of these speeds"
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,7 @@ def _power(model: PowerModel, samples: Sequence[Sample]) -> FloatArray:
     return np.asarray(model.power(motion))
 
 
-class _Rest(NamedTuple):
+class _RestOfPath(NamedTuple):
     """What is left of a path."""
 
     poses: FloatArray  # (n, 3): along it, from where the robot is
@@ -518,16 +518,16 @@ class _Watch:
                 self._passed[row] = k + 1
         return self._passed[row] == len(poses)
 
-    def _begun(self) -> dict[str, _Rest]:
+    def _begun(self) -> dict[str, _RestOfPath]:
         """Return what is left of the paths that are driven in part, by task."""
-        found: dict[str, _Rest] = {}
+        found: dict[str, _RestOfPath] = {}
         for row in sorted(self._rows, key=lambda row: self._passed[row]):
             passed = self._passed[row]
             if row[0] not in self._known and 1 < passed < len(self._rows[row]):
                 found[row[0]] = self._rest(self._paths[row], self._rows[row][passed - 1])
         return found
 
-    def _rest(self, path: Path, last: FloatArray) -> _Rest:
+    def _rest(self, path: Path, last: FloatArray) -> _RestOfPath:
         """Return what is left of a path from where the robot is on it, or from the last pose."""
         assert self._pose is not None
         fine = path.subdivide(_WATCH.fine, _WATCH.fine)
@@ -541,7 +541,7 @@ class _Watch:
         on_it = bool(away.min() <= self._settings.near)
         at = int(away.argmin()) if on_it else at
         ahead = path.vertices[ends > along[at] + PLACE]
-        return _Rest(np.vstack([poses[at], ahead]), float(np.abs(fine.ds[:at]).sum()), on_it)
+        return _RestOfPath(np.vstack([poses[at], ahead]), float(np.abs(fine.ds[:at]).sum()), on_it)
 
     def _charge(self) -> float:
         """Return the state of charge now, by the energy that was drawn since it was last known."""

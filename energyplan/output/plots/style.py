@@ -36,7 +36,7 @@ WIDTH = 5.2
 """Width of a picture [inch]: its text can be read in a phone's column of 350 pixels."""
 
 
-class Picture(Figure):
+class ShownFigure(Figure):
     """A figure that a notebook shows, whether or not pyplot was imported."""
 
     def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
@@ -47,7 +47,7 @@ def figure(
     rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDTH, 3.4), **layout: Any
 ) -> Figure:
     """Return an empty figure in the library's style, without a window."""
-    result = Picture(figsize=size, layout="constrained")
+    result = ShownFigure(figsize=size, layout="constrained")
     for ax in result.subplots(rows, columns, squeeze=False, **layout).flat:
         ax.grid(alpha=0.3)
         ax.spines[["top", "right"]].set_visible(False)
