@@ -32,6 +32,7 @@ from energyplan.cli.options import (
     DriveOptions,
     Effort,
     GoalOptions,
+    Pack,
     ReturnOptions,
     SiteOptions,
     fraction,
@@ -40,10 +41,11 @@ from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
     from energyplan.io.sites import ModelOnSite
-    from energyplan.mission import Mission
-    from energyplan.path import Pose
+    from energyplan.mission import Mission, MissionReport
+    from energyplan.path import Pose, Trajectory
     from energyplan.planning import Goal, Plan, PlanningProblem
     from energyplan.power import PowerModel
+    from energyplan.reach import UsableCharge
     from energyplan.terrain import Site
 
     Goals = tuple[Goal, ...]
@@ -336,11 +338,9 @@ def check(
     If they cannot, says where and why, and how fast the robot could drive it.
     """
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
-    from energyplan.html import number as figure
-    from energyplan.html import share as percent
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
-    from energyplan.io.tables import read_drive, write_trajectory
+    from energyplan.io.tables import read_drive
     from energyplan.limits.drive import Ground, Traversal, drawn
     from energyplan.limits.feasibility import check as test
     from energyplan.output import documents, text
@@ -373,12 +373,11 @@ def check(
         run = drawn(pack.battery, found.t, energies, pack.soc)
     document = {**documents.feasibility(report, run), "out_duration": None}
     lines = [*str(report).splitlines(), *text.battery(run)]
-    if out and report.max_speed_scale > 0:
-        share = 1.0 if report.feasible else report.max_speed_scale
+    share = 1.0 if report.feasible else report.max_speed_scale
+    if out and share > 0:
         slowed = found if report.feasible else found.scaled(share)
-        write_trajectory(slowed, out)
         document["out_duration"] = slowed.duration
-        lines.append(f"{out}: {figure(slowed.duration)} s, at {percent(share)} of these speeds")
+        lines.append(_write_slowed(slowed, share, out))
     elif out:
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
     then = following("mission", "MISSION.yaml", keep="")
@@ -388,6 +387,39 @@ def check(
         then = "" if out or report.max_speed_scale <= 0 else slower
     answer(document, lines, json=json, then=then)
     verdict(report.feasible, strict)
+
+
+def _write_slowed(slowed: Trajectory, part: float, out: Path) -> str:
+    """Write a trajectory that the motors can drive; return the line that says so."""
+    from energyplan.html import number, share
+    from energyplan.io.tables import write_trajectory
+
+    write_trajectory(slowed, out)
+    return f"{out}: {number(slowed.duration)} s, at {share(part)} of these speeds"
+
+
+@dataclass(frozen=True)
+class EnergyOptions:
+    """The energy at hand, where no battery says it, and what is kept of either."""
+
+    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None
+    reserve: Annotated[
+        str,
+        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
+    ] = "0"
+
+    def usable(self, problem: PlanningProblem, pack: Pack | None) -> float | UsableCharge | None:
+        """Return what may be used of it, or of a battery; None where neither is given."""
+        from energyplan.reach import UsableCharge
+
+        kept = fraction("--reserve", self.reserve)
+        if pack is not None:
+            return UsableCharge(problem.cost, *pack, kept)
+        if self.energy is not None and kept == 1.0:
+            raise InvalidInputError(
+                f"--reserve {self.reserve} leaves nothing of the energy; keep less"
+            )
+        return None if self.energy is None else (1.0 - kept) * self.energy
 
 
 @app.command(
@@ -401,11 +433,7 @@ def reach(
     start: opt.PoseText,
     home: ReturnOptions,
     supply: BatteryOptions,
-    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
-    reserve: Annotated[
-        str,
-        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
-    ] = "0",
+    at_hand: EnergyOptions,
     at_battery: opt.AtBattery = False,
     confidence: Annotated[
         float | None,
@@ -432,25 +460,18 @@ def reach(
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.reach import UsableCharge, energy_map
+    from energyplan.reach import energy_map
 
-    if supply.battery and energy is not None:
+    if supply.battery and at_hand.energy is not None:
         raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
-    if energy == math.inf:
+    if at_hand.energy == math.inf:
         raise InvalidInputError("--energy is infinite; leave it out for the whole map")
     if spread and confidence is None:
         raise InvalidInputError("--spread needs --confidence; give both")
-    kept = fraction("--reserve", reserve)
-    usable: float | UsableCharge | None = None
     pose, pack = parse_pose(start), supply.pack
     drive = supply.measured(DriveOptions(model, at_battery=at_battery))
     problem = problem_of(SiteOptions(map_file), drive, pose, pose, reverse)
-    if pack is not None:
-        usable = UsableCharge(problem.cost, *pack, kept)
-    elif energy is not None:
-        if kept == 1.0:
-            raise InvalidInputError(f"--reserve {reserve} leaves nothing of the energy; keep less")
-        usable = (1.0 - kept) * energy
+    usable = at_hand.usable(problem, pack)
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
@@ -470,12 +491,63 @@ def reach(
     answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)
 
 
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where many missions are evaluated, and where their lines go."""
+
+    cluster: Annotated[
+        str | None,
+        Option(
+            metavar="ADDRESS",
+            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
+            "of this machine, local: a JSON line for each.",
+        ),
+    ] = None
+    insecure_cluster: Annotated[
+        bool,
+        Option(
+            "--insecure-cluster",
+            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
+        ),
+    ] = False
+    cluster_ca: Annotated[
+        Path | None,
+        Option(
+            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
+        ),
+    ] = None
+    cluster_cert: Annotated[
+        Path | None,
+        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
+    ] = None
+    cluster_key: Annotated[
+        Path | None,
+        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
+    ] = None
+    results: Annotated[
+        Path | None,
+        opt.output(
+            "With --cluster: add the lines to this file; missions that it has are skipped.",
+            ".jsonl",
+        ),
+    ] = None
+
+    @property
+    def access(self) -> dict[str, Any]:
+        """What a cluster is reached with."""
+        return {
+            "insecure": self.insecure_cluster, "ca": self.cluster_ca,
+            "certificate": self.cluster_cert, "key": self.cluster_key,
+        }  # fmt: skip
+
+
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
 def mission(
     files: Annotated[
         list[Path],
         Argument(metavar="MISSION.yaml...", help="Its keys are listed in docs/missions."),
     ],
+    *,
     effort: opt.Work = None,
     reverse: opt.Reverse = None,
     fail: Annotated[
@@ -490,42 +562,7 @@ def mission(
         Path | None,
         opt.output("Write each drive to this folder (t,x,y,yaw,v,omega), and into --json."),
     ] = None,
-    cluster: Annotated[
-        str | None,
-        Option(
-            metavar="ADDRESS",
-            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
-            "of this machine, local: a JSON line for each.",
-        ),
-    ] = None,
-    insecure_cluster: Annotated[
-        bool,
-        Option(
-            "--insecure-cluster",
-            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
-        ),
-    ] = False,
-    cluster_ca: Annotated[
-        Path | None,
-        Option(
-            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
-        ),
-    ] = None,
-    cluster_cert: Annotated[
-        Path | None,
-        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
-    ] = None,
-    cluster_key: Annotated[
-        Path | None,
-        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
-    ] = None,
-    results: Annotated[
-        Path | None,
-        opt.output(
-            "With --cluster: add the lines to this file; missions that it has are skipped.",
-            ".jsonl",
-        ),
-    ] = None,
+    many: ClusterOptions,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -534,22 +571,19 @@ def mission(
     Names the tasks that cannot be done, why, and what would change that. A file with robots is
     shared between them: which robot does which task, and when it charges.
     """
-    from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
-    if cluster is not None:
+    if many.cluster is not None:
         if report or trajectories or fail or strict:
             raise InvalidInputError(
                 "--report, --trajectories, --fail and --strict are of one mission; leave them out"
             )
-        tls = {"ca": cluster_ca, "certificate": cluster_cert, "key": cluster_key}
-        access = {"insecure": insecure_cluster, **tls}
-        _many(files, cluster, access, results, effort=effort, reverse=reverse)
+        _many(files, many.cluster, many.access, many.results, effort=effort, reverse=reverse)
         return
-    if cluster_ca or cluster_cert or cluster_key:
+    if many.cluster_ca or many.cluster_cert or many.cluster_key:
         raise InvalidInputError("--cluster-ca, --cluster-cert and --cluster-key need --cluster")
-    if len(files) > 1 or results:
+    if len(files) > 1 or many.results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
     wanted = _read_mission(files[0], effort, reverse)
     if fail is not None and not wanted.robots:
@@ -560,11 +594,7 @@ def mission(
         after = evaluate(result.after_failure(name, instant)) if name else None
     failure = text.failure(result, name, instant) if name else ""
     if trajectories:
-        trajectories.mkdir(parents=True, exist_ok=True)
-        for r, one in enumerate(result.robots or (result,), start=1):
-            robot = f"robot_{r:02d}_" if result.robots else ""
-            for k, leg in enumerate(one.legs, start=1):
-                write_trajectory(leg.trajectory, trajectories / f"{robot}leg_{k:02d}.csv")
+        _write_trajectories(result, trajectories)
     if report:
         from energyplan.output.pages import mission_page
 
@@ -577,6 +607,17 @@ def mission(
     then = following("serve", files[0].parent, keep="") if report else shown
     answer(document, lines, json=json, then=then)
     verdict(result.feasible and (after is None or after.feasible), strict)
+
+
+def _write_trajectories(result: MissionReport, folder: Path) -> None:
+    """Write each drive of a mission to a file of its own."""
+    from energyplan.io.tables import write_trajectory
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for r, one in enumerate(result.robots or (result,), start=1):
+        robot = f"robot_{r:02d}_" if result.robots else ""
+        for k, leg in enumerate(one.legs, start=1):
+            write_trajectory(leg.trajectory, folder / f"{robot}leg_{k:02d}.csv")
 
 
 def _many(

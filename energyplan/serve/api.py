@@ -167,7 +167,7 @@ class _Service:
     ) -> None:  # fmt: skip
         """Have a path answered by work, which gets the request."""
 
-        class Read(Request):
+        class BodyRequest(Request):
             """A request whose body is read before FastAPI asks for it."""
 
             given: BaseModel
@@ -182,7 +182,7 @@ class _Service:
                 handle = super().get_route_handler()
 
                 async def handler(request: Request) -> Response:
-                    read = Read(request.scope, request.receive)
+                    read = BodyRequest(request.scope, request.receive)
                     content = await read.body()
                     read.given = await asyncio.to_thread(requests.read_body, content, given)
                     return await handle(read)
