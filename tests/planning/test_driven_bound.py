@@ -133,6 +133,21 @@ def test_the_gap_of_the_least_time_is_that_of_the_drive():
     assert "lower bound of the cost [s]" in str(plan)
 
 
+@pytest.mark.parametrize("value", [60.0, 300.0])
+def test_a_drive_hurries_as_much_as_the_seconds_that_its_route_was_priced_with(value):
+    """No constant speed drives the line for less energy and time together."""
+    model = model_of(hotel_load=60.0, viscous_loss=120.0)
+    both = {"energy": 1.0, "time": value}
+    cost = ep.EnergyCost(model, speed="cheapest", time_value=value)
+    plan = ep.plan(ep.PlanningProblem(HALL, cost, *LINE, objective=both), effort=1500)
+    assert plan.cost == pytest.approx(plan.energy_driven + value * plan.driven.duration)
+    assert plan.lower_bound <= plan.cost
+    assert plan.speed == pytest.approx(plan.driven.speed_priced, rel=0.03)
+    others = [ep.EnergyCost(model, speed=speed) for speed in np.linspace(0.2, 1.2, 11)]
+    drives = [drive_plan(replace(plan.problem, cost=one), plan.path) for one in others]
+    assert plan.cost <= 1.002 * min(one.energy + value * one.duration for one in drives)
+
+
 def test_the_speed_is_the_largest_of_the_drive():
     zone = SurfaceMap((), speed_limits=(SpeedLimit(shapely.box(-1, -1, 10, 10), 0.3),))
     plan = planned(MODEL, surfaces=zone)
