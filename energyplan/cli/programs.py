@@ -112,16 +112,19 @@ def graph(
              for one, energy in result.energies.items()]  # fmt: skip
     lines = [f"{edge['source']} to {edge['target']}: {edge['energy']:.0f} J" for edge in edges]
     lines += [f"{one.source} to {one.target} is closed: {one.reason}" for one in result.closed]
-    closed: dict[str, object] = {"closed": [one._asdict() for one in result.closed]}
+    route = None
     if ends.source is not None:
         path = result.route(ends.source, ends.target, **yaws)
         energy = problem.terrain.price(path, problem.cost).energy
         x, y, yaw = path.end
         at = f"({x:.2f}, {y:.2f}, {degrees(yaw):.1f} deg)"
         lines.append(f"route from {ends.source} to {at}: {energy:.0f} J, {path.length:.2f} m")
-        closed["route"] = {"energy": energy, "length": path.length, "end": list(path.end),
-                           "path": path.vertices.tolist()}  # fmt: skip
-    answer({"edges": edges, **closed}, lines, json=json)
+        route = {
+            "energy": energy, "length": path.length, "end": list(path.end),
+            "path": path.vertices.tolist(),
+        }  # fmt: skip
+    closed = [one._asdict() for one in result.closed]
+    answer({"edges": edges, "closed": closed, "route": route}, lines, json=json)
 
 
 @export.command(
