@@ -8,7 +8,7 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test compiled nightly shuffled installed lint docs fuzz mutate recheck lowest pictures loop bench guards gates pages dist lock release clean
+.PHONY: demo test compiled nightly shuffled installed lint docs fuzz mutate recheck lowest pictures loop notebooks bench guards gates pages dist lock release clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -95,12 +95,17 @@ loop: $(READY)
 # The pictures of the README and the documentation, drawn by the demo and the examples.
 pictures: demo
 	mkdir -p docs/pictures
+	cp $(OUT)/routes/demo_driven.json examples/
 	cp $(OUT)/mission-charge.png $(OUT)/prediction-quadriga-full-marble.png docs/pictures/
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
 	cp $(OUT)/plan_depot/routes.png docs/pictures/
 	$(BIN)/python docs/draw.py
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/animate.py
+
+# The notebooks of the documentation, run from top to bottom and stored with their results.
+notebooks: $(NIGHTLY_READY)
+	$(BIN)/python docs/notebooks/run.py
 
 # Figures that must not get worse, on small samples that every change runs.
 guards: $(READY)

@@ -22,7 +22,7 @@ from energyplan.limits.speed import corner_rounding, profile
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.space.prices import Prices
+from energyplan.planning.space.prices import Prices, remembered
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
@@ -74,8 +74,9 @@ def drive_path(
 
     def driven(objective: Literal["time", "energy"], smooth: FloatArray) -> DrivenPath:
         timed = profile(
-            path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
-            period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
+            path, model, vehicle=vehicle, objective=objective, time_value=cost.time_value,
+            smooth=smooth, tolerance=within, period=period, channels=cost.channels,
+            surfaces=surfaces, heights=heights,
         )  # fmt: skip
         drive = Traversal(timed, Ground(model, surfaces, heights), cost.channels)
         energies = drive.interval_energies()
@@ -107,9 +108,11 @@ def drive_path(
         except InfeasibleMotionError:
             if way is ways[-1] and not found:
                 raise
-    enough = min(one.energy for one in found)
+    values = [one.energy + cost.time_value * one.duration for one in found]
+    enough = min(values)
     enough += SAME * abs(enough)
-    return min((one for one in found if one.energy <= enough), key=lambda one: one.duration)
+    good = (one for one, value in zip(found, values, strict=True) if value <= enough)
+    return min(good, key=lambda one: one.duration)
 
 
 def _price_of_seconds(drive: Traversal, surfaces: SurfaceMap | None) -> float:
@@ -252,7 +255,14 @@ def _driven_rates(problem: PlanningProblem) -> DrivenRates | None:
             time or np.any(known[0]) or not all(cost.same_at_any_speed for cost in costs)
         ):
             return None
-    rates = [cost.driven_rates(energy, prices.of_time(k)) for k, cost in enumerate(costs)]
+    rates = []
+    for k, cost in enumerate(costs):
+        weighed = energy, prices.of_time(k)
+        make = partial(cost.driven_rates, *weighed)
+        found = remembered(cost, None, ("drives", *weighed), make)
+        if found is None:
+            return None
+        rates.append(found)
     share, still, quickest = zip(*rates, strict=True)
     return DrivenRates(min(share), min(still), max(quickest))
 

@@ -155,10 +155,11 @@ class RoutePrices(NamedTuple):
 @inner
 def _route_prices(setting: KernelProblem, turns: float) -> RoutePrices:
     """Return the prices of a problem, those of turns times `turns`."""
-    turning = turns * turn_prices(setting)
-    per_turn = turning[0]
-    for each in turning:
-        per_turn = min(per_turn, each)
+    turning = turn_prices(setting)
+    per_turn = inf
+    for k in range(len(turning)):
+        turning[k] *= turns
+        per_turn = min(per_turn, turning[k])
     ahead = price(setting.prices, 0, setting.half_track, 1.0, 0.0)
     back = price(setting.prices, 0, setting.half_track, -1.0, 0.0)
     rest = ROUTES.weight * setting.least_metre

@@ -223,8 +223,11 @@ def _neighbours(places: Places, ground: MetrePrices) -> Neighbours:
 def _buckets(width: float, furthest: float) -> Buckets:
     """Return empty lists for steps of some length at most."""
     ring = int(furthest / width) + 2
-    first = np.full(ring, -1, np.int32)
-    counts = np.array([0, 0, 0, -1, 0])
+    first = np.empty(ring, np.int32)
+    for k in range(ring):
+        first[k] = -1
+    counts = np.zeros(5, np.int64)
+    counts[3] = -1
     room = 1 << 14
     return Buckets(first, np.empty(room, np.int32), np.empty(room, np.int32), counts, width)
 
