@@ -133,6 +133,8 @@ class Stages(NamedTuple):
     passages: Lane = Lane(0.06, 4000.0)
     driving: Lane = Lane(0.15, 1000.0)
     varying: Lane = Lane(0.1, 2000.0)
+    gap: float = 0.03  # gap up to which a default effort is enough, and no more is advised
+    gain: float = 1e-3  # share of the cost that has to be gained for it to go on
     least_bound: float = 200.0  # units for the lower bound at first, whatever is left
 
 

@@ -88,13 +88,15 @@ def plan(
             least.know(bound - query.potential(problem.goal))
         beyond = query.value(path) - query.potential(problem.goal)
         do_together(budget, least.work(beyond, SHARES.aside * budget.left))
-        return Candidate(path, query.potential(problem.goal) + least.value, first)
+        value = query.potential(problem.goal) + least.value
+        return Candidate(path, value, first, open=stages.over)
     path, driven = stages.answered()
     beyond = query.value(path) - query.potential(problem.goal)
     left = min(budget.left, SHARES.aside * (budget.limit or 0))
     do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
     value = query.potential(problem.goal) + paths.bounding.value
-    return Candidate(path, value, first, None if stages.exact else stages.shortest.path, driven)
+    shortest = None if stages.exact else stages.shortest.path
+    return Candidate(path, value, first, shortest, driven, stages.over)
 
 
 class _Shortened(NamedTuple):
@@ -143,13 +145,20 @@ class _Stages:
         self.spent = dict.fromkeys(self.lanes, 0.0)
         self.cut = dict.fromkeys(self.lanes, False)  # whether the last step needed more
         self.done = 0.0
+        self.mark = np.inf  # what the answer cost before the last half of the effort
+        self.over = False  # whether the effort ended what might gain yet
 
     def run(self) -> None:
         """Do all steps that fit, until nothing is left to gain."""
         self._begin()
-        with suppress(_EffortOverError):
+        half = SHARES.stage * (self.budget.limit or 0)
+        try:
             while due := self._due():
+                if self.budget.spent < half:
+                    self.mark = self.value
                 self._do(due)
+        except _EffortOverError:
+            self.over = True
 
     def _due(self) -> list[tuple[str, Work]]:
         """Return the steps that are next: one, and another if that is late too."""
@@ -183,7 +192,10 @@ class _Stages:
     def _do(self, due: Sequence[tuple[str, Work]]) -> None:
         """Do some steps at once; the last one that fits alone if they do not fit together."""
         before = self.budget.spent
-        if sum(work.units for _, work in due) <= self.budget.left:
+        units = sum(work.units for _, work in due)
+        if units > self.budget.left and self._gains and self.budget.extend():
+            self.mark = self.value
+        if units <= self.budget.left:
             do_together(self.budget, [work for _, work in due])
             self.done += self.budget.spent - before
             return
@@ -200,6 +212,17 @@ class _Stages:
             if over:
                 raise _EffortOverError
         self.done += self.budget.spent - before
+
+    @property
+    def value(self) -> float:
+        """What the answer costs, as the paths are compared."""
+        return self.answer.value if self.answer.drives else self.paths.cost
+
+    @property
+    def _gains(self) -> bool:
+        """Whether more effort than the default one may pay."""
+        gained = self.value < self.mark * (1.0 - STAGES.gain)
+        return gained and self.paths.cost > self.paths.bounding.value * (1.0 + STAGES.gap)
 
     @property
     def closed(self) -> bool:
