@@ -15,7 +15,7 @@ from functools import cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
 from inspect import signature
-from math import inf
+from math import ceil, inf
 from pathlib import Path as File
 from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -474,8 +474,7 @@ class Plan(html.Readable):
         limit, gap = self.effort_limit, self.gap
         if not self.open or limit is None or gap is None or not STAGES.gap < gap < np.inf:
             return ""
-        share = html.number(100.0 * gap / (1.0 + gap), whole=100)
-        return f"effort {2 * limit} may save up to {share} %"
+        return f"effort {2 * limit} may save up to {ceil(1000.0 * gap / (1.0 + gap)) / 10.0} %"
 
     def _costs(self) -> list[tuple[str, object]]:
         """Return rows of the cost, where it is not the energy alone, and of its lower bound."""
