@@ -53,7 +53,7 @@ SHOWN = {
     "NoPathError": "certainty resolution",
     "Plan": "energy energy_steady length turning lower_bound gap gap_of lower_bound_steady "
     "planning_time planner potential effort "
-    "effort_limit cost soft_cost breakdown notes advice goal_reached",
+    "effort_limit cost soft_cost breakdown notes goal_reached",
     "Residual": "rmse mae bias energy_error",
     "Round": "energy_predicted energy_interval energy_measured error overhead effects length note",
     "Segment": "start goal departure energy peak_power peak_current",

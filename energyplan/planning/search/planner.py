@@ -268,7 +268,8 @@ class _Stages:
         if self.short is not None and compared and not self.exact:
             # no more than its shortcuts, which take little work
             run = partial(self._shorten, self.short, enough=np.inf)
-            self._at_any_rate(Work(run, REFINING.opening, self._take_shorter))
+            units = REFINING.opening + UNITS.drive
+            self._at_any_rate(Work(run, units, self._take_shorter))
 
     def _at_any_rate(self, work: Work) -> None:
         """Do some work, whatever is left."""
@@ -401,7 +402,8 @@ class _Stages:
                 if found.motions is not None:
                     self.paths.enter(self.paths.query.motions_of(self.short_query, found.motions))
 
-            yield Work(partial(self._shorten, short), units, take)
+            drive = UNITS.drive if self.answer.drives else 0.0
+            yield Work(partial(self._shorten, short), units + drive, take)
             units *= 2.0
         while True:
             yield None
@@ -414,8 +416,8 @@ class _Stages:
         shortest = min((Refiner(of.setting, one) for one in known), key=lambda one: one.cost)
         short.enter(shortest.segments)
         enough = max(enough, Bounding(of).value * (1.0 + paths.gap))
-        gains = True
-        while gains and not own.over and (short.fresh or short.cost > enough):
+        gains, kept = True, UNITS.drive if self.answer.drives else 0.0
+        while gains and own.left > kept and (short.fresh or short.cost > enough):
             work = short.work(enough)
             gains = work is not None
             if work is not None:
@@ -423,8 +425,8 @@ class _Stages:
         gains = gains and short.cost > enough
         with suppress(PlanningError):
             found = _finished(of, short.best)
-            lengths, weighed = self.shortest.weighed(found, own), self.answer.weighed(found, own)
-            return _Shortened(gains, short.best, lengths, weighed)
+            length, answer = self.shortest.weighed(found, own), self._weighed(found, own)
+            return _Shortened(gains, short.best, length, answer)
         return _Shortened(gains)
 
     def _take_shorter(self, found: _Shortened) -> None:
@@ -458,10 +460,17 @@ class _Stages:
                 refiner.shortcut(own)
                 refiner.polish(own, most=most)
             with suppress(PlanningError):
-                return self.answer.weighed(_finished(self.paths.query, refiner.segments), own)
+                return self._weighed(_finished(self.paths.query, refiner.segments), own)
             return None
 
         return run
+
+    def _weighed(self, path: Path, own: Budget) -> Weighed | None:
+        """Return what driving a path takes; where too little is left for it, nothing is."""
+        if self.answer.drives and own.left < UNITS.drive:
+            own.spend(own.left)
+            return None
+        return self.answer.weighed(path, own)
 
     @property
     def _stops_matter(self) -> bool:
