@@ -73,7 +73,7 @@ def counts_from_north(motion: Recorded) -> bool | None:
     return by_turning < 0.0 if abs(by_turning) > CHANCE else None
 
 
-class _Turning(NamedTuple):
+class _LeastSquares(NamedTuple):
     values: FloatArray  # (k,): factors of the columns
     covariance: FloatArray  # (k, k): theirs, of blocks that are independent
     rest: float  # sum of the squares that are left
@@ -85,12 +85,12 @@ class _Turning(NamedTuple):
         return value / error if error > 0.0 else 0.0
 
 
-def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Turning:
+def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _LeastSquares:
     """Fit columns to readings by least squares; whole blocks of readings may share an error."""
     size = columns.shape[1]
     gram = columns.T @ columns
     if not np.all(np.diag(gram) > 0.0) or np.linalg.cond(gram) > 1e10:
-        return _Turning(np.zeros(size), np.zeros((size, size)), float(y @ y))
+        return _LeastSquares(np.zeros(size), np.zeros((size, size)), float(y @ y))
     inverse = np.linalg.inv(gram)
     values = inverse @ (columns.T @ y)
     rest = y - columns @ values
@@ -100,4 +100,4 @@ def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _Turnin
     covariance = inverse @ (scores @ scores.T) @ inverse * _BLOCKS / (_BLOCKS - 1)
     # Readings without any noise are exact to rounding.
     floor = (1e-12 * float(y @ y) / len(y)) * inverse
-    return _Turning(values, covariance + floor, float(rest @ rest))
+    return _LeastSquares(values, covariance + floor, float(rest @ rest))

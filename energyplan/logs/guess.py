@@ -409,7 +409,7 @@ CHANNELS = (
 )  # fmt: skip
 
 
-class Candidate(NamedTuple):
+class RatedColumn(NamedTuple):
     """A name that may serve as a channel, how well it fits, and why."""
 
     column: Column
@@ -419,13 +419,13 @@ class Candidate(NamedTuple):
 
 def candidates(
     names: Iterable[str], taken: Collection[str] = ()
-) -> dict[str, tuple[Candidate, ...]]:
+) -> dict[str, tuple[RatedColumn, ...]]:
     """Return which names may be which channel, the best first, with their units if they say so."""
     every = list(names)
     alias = {name: _lettered(spelled(name, every), every) for name in every}
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]
-    found: dict[str, tuple[Candidate, ...]] = {}
+    found: dict[str, tuple[RatedColumn, ...]] = {}
     for channel in CHANNELS:
         quantity = channel.partition("_")[0]
         quantity = quantity if quantity in ("current", "voltage") else channel
@@ -439,7 +439,9 @@ def candidates(
             elif split_unit(name)[1] and channel != "t":
                 score = min(score, 0.5)  # it says that it is something else
             if score >= 1.0:
-                rated.append(Candidate(Column(field=name, unit=unit, channel=channel), score, why))
+                rated.append(
+                    RatedColumn(Column(field=name, unit=unit, channel=channel), score, why)
+                )
         found[channel] = tuple(sorted(rated, key=lambda one: -one.score))
     return found
 
