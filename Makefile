@@ -8,7 +8,7 @@ NIGHTLY_READY := $(VENV)/.nightly-ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= demo
 
-.PHONY: demo test compiled nightly shuffled installed lint docs fuzz mutate recheck lowest pictures loop bench guards gates pages dist lock release clean
+.PHONY: demo test compiled nightly shuffled installed lint docs fuzz mutate recheck lowest pictures loop notebooks bench guards gates pages dist lock release clean
 
 demo: $(READY)
 	$(BIN)/energyplan demo --out $(OUT)
@@ -101,6 +101,10 @@ pictures: demo
 	$(BIN)/python docs/draw.py
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/animate.py
+
+# The notebooks of the documentation, run from top to bottom and stored with their results.
+notebooks: $(NIGHTLY_READY)
+	$(BIN)/python docs/notebooks/run.py
 
 # Figures that must not get worse, on small samples that every change runs.
 guards: $(READY)

@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 import energyplan as ep
-from energyplan.physics import Effect, EngineGround
+from energyplan.physics import EngineGround, HiddenEffect
 from energyplan.terrain import HeightMap
 
 WIDTH, ROOM, RESOLUTION = 1.8, 1.7, 0.1
@@ -28,7 +28,7 @@ class Fork(NamedTuple):
     grid: ep.OccupancyGrid
     start: ep.Pose
     goal: ep.Pose
-    effects: tuple[Effect, ...]
+    effects: tuple[HiddenEffect, ...]
     ground: EngineGround | None = None
 
     def problem(self, model: ep.PowerModel) -> ep.PlanningProblem:
@@ -55,7 +55,7 @@ def rough(share: float) -> Fork:
     """Lay rough ground beyond a line, through which the shorter way goes."""
     short = [(0, 0), (0, 2.2), (9, 2.2), (9, 0)]
     long = [(0, 0), (0, -2.2 - share), (9, -2.2 - share), (9, 0)]
-    effect = Effect("surface_border", 0.3, {"direction": np.pi / 2, "offset": 1.1})
+    effect = HiddenEffect("surface_border", 0.3, {"direction": np.pi / 2, "offset": 1.1})
     start, goal = ep.Pose(0, 0, 0.0), ep.Pose(9, 0, 0.0)
     return Fork("rough ground", corridors(short, long), start, goal, (effect,))
 
@@ -67,7 +67,7 @@ def viscous(share: float) -> Fork:
     length = 15.7 - share
     angle = float(np.arccos(far / length))
     wide = [(0, 0), (far / 2, -length / 2 * np.sin(angle)), (far, 0)]
-    effect = Effect("viscous_loss", 250.0)
+    effect = HiddenEffect("viscous_loss", 250.0)
     start, goal = ep.Pose(0, 0, -angle), ep.Pose(far, 0, angle)
     return Fork("viscous floor", corridors(zigzag, wide), start, goal, (effect,))
 
@@ -77,7 +77,7 @@ def dragging(share: float) -> Fork:
     top, bottom = 2.5, -2.5
     over = [(0, 0), (0, top), (8, top), (8, 0)]
     under = [(0, 0), (0, bottom), (8, bottom), (8, 0)]
-    effect = Effect("dragging_wheel_left", 150.0)
+    effect = HiddenEffect("dragging_wheel_left", 150.0)
     # Turned a little, so that without the drag one way round is the cheaper one.
     start, goal = ep.Pose(0, 0, 0.1 * share), ep.Pose(8, 0, np.pi - 0.1 * share)
     return Fork("dragging left wheel", corridors(over, under), start, goal, (effect,))
@@ -95,7 +95,7 @@ def ridge(share: float) -> Fork:
     across = np.clip((y - 0.2) / 1.0, 0.0, 1.0)
     heights = HeightMap(1.0 * across[:, None] * up, size, ep.Pose(-5.0, -8.0, 0.0))
     start, goal = ep.Pose(0, 0, 0.0), ep.Pose(10, 0, 0.0)
-    effect = Effect("regeneration_efficiency", 1.0)
+    effect = HiddenEffect("regeneration_efficiency", 1.0)
     return Fork(
         "ridge, nothing returned", corridors(short, long), start, goal, (effect,),
         EngineGround(heights=heights),

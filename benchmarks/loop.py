@@ -30,7 +30,15 @@ from energyplan.diagnosis.design import Hypothesis, TimedManoeuvre, design, join
 from energyplan.errors import EnergyPlanError
 from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
-from energyplan.physics import EFFECTS, Effect, Robot, Sensors, draw_effects, drive, switch_on
+from energyplan.physics import (
+    EFFECTS,
+    EngineRobot,
+    HiddenEffect,
+    Sensors,
+    draw_effects,
+    drive,
+    switch_on,
+)
 from energyplan.physics.loop import SPEED_SHARE, EngineDrives, Loop, Round, close_loop
 from energyplan.power.effects import catalogue
 from energyplan.vehicle import predict_icr
@@ -38,7 +46,7 @@ from energyplan.vehicle import predict_icr
 ICR = ep.TreadICR.symmetric(predict_icr(0.475, 0.5))
 VEHICLE = ep.Vehicle.preset("quadriga:full").with_mass(147.1).with_icr(ICR)
 MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
-ROBOT = Robot.from_model(MODEL)
+ROBOT = EngineRobot.from_model(MODEL)
 EFFORT = 100_000
 """Units of work for each plan: some two seconds."""
 SURE = 0.95
@@ -124,7 +132,7 @@ def without(count: int, begin: int = 0) -> None:
           f"{100 * s.max():.2f} points")  # fmt: skip
 
 
-def closed(effects: tuple[Effect, ...], case: Pair, rounds: int = 2) -> Loop:
+def closed(effects: tuple[HiddenEffect, ...], case: Pair, rounds: int = 2) -> Loop:
     """Close the loop about a robot with effects that the model does not know."""
     problem = ep.PlanningProblem(case.grid, ep.EnergyCost(MODEL), case.start, case.goal)
     source = EngineDrives(switch_on(ROBOT, effects))
@@ -293,7 +301,7 @@ def designed(count: int, duration: float = 60.0, noise: float = 20.0) -> None:
             if sum(part.duration for part in some) + more.duration > duration:
                 break
             some.append(more)
-        robot = Effect(true, size).on(ROBOT)
+        robot = HiddenEffect(true, size).on(ROBOT)
         sensors = Sensors(power_noise=noise / np.sqrt(2), seed=k, without=("accel_x",))
         logs = [
             sensors.log(drive(asked, robot, MODEL).run)

@@ -19,7 +19,7 @@ from calibration import robot
 
 from energyplan import DriveLog, PowerModel, diagnose, simulate
 from energyplan.path import FloatArray
-from energyplan.physics import Engine, Robot, Run, Sensors, State
+from energyplan.physics import Engine, EngineRobot, Run, Sensors, State
 from energyplan.power import Sides
 from energyplan.vehicle import GRAVITY
 
@@ -327,7 +327,7 @@ def engine_runs(seed: int) -> tuple[list[Run], PowerModel]:
             )
             return left, right
 
-        runs.append(Engine(Robot.from_model(model)).drive(follow))
+        runs.append(Engine(EngineRobot.from_model(model)).drive(follow))
     return runs, model
 
 

@@ -23,7 +23,7 @@ import energyplan as ep
 from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
 from energyplan.output import plots
-from energyplan.physics import Robot, drive
+from energyplan.physics import EngineRobot, drive
 
 MOVING, COLOURS = 76, {"least energy": plots.BLUE, "shortest": plots.RED}
 
@@ -43,7 +43,9 @@ def main(file: str) -> None:
     made = ep.compare(problem, effort=100_000)
     slow = replace(vehicle, motor=replace(vehicle.motor, speed=0.7, acceleration=0.5))
     runs = {
-        name: drive(profile(plan.path, model, vehicle=slow), Robot.from_model(model), model).run
+        name: drive(
+            profile(plan.path, model, vehicle=slow), EngineRobot.from_model(model), model
+        ).run
         for name, plan in (("least energy", made.energy_optimal), ("shortest", made.shortest))
     }
     figure = Figure(figsize=(plots.WIDTH, 6.2), dpi=110)

@@ -24,7 +24,14 @@ from energyplan.io.files import bundled
 from energyplan.output import plots
 from energyplan.output.plots import image
 from energyplan.output.plots.style import CYCLE
-from energyplan.physics import EFFECTS, EngineDrives, Robot, close_loop, draw_effects, switch_on
+from energyplan.physics import (
+    EFFECTS,
+    EngineDrives,
+    EngineRobot,
+    close_loop,
+    draw_effects,
+    switch_on,
+)
 from energyplan.planning import Budget
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.search.routes import cheapest_route, cheapest_routes
@@ -242,7 +249,7 @@ def told_taken() -> Figure:
     errors: dict[str, list[float]] = {"first": [], "last": []}
     seeds = range(1, 6)
     for seed in seeds:
-        plain = Robot.from_model(MODEL)
+        plain = EngineRobot.from_model(MODEL)
         robot = switch_on(plain, draw_effects(plain, seed, names=tuple(level)))
         loop = close_loop(problem, EngineDrives(robot), rounds=3, effort=40_000)
         errors["first"].append(100 * loop.rounds[0].error)

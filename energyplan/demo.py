@@ -34,7 +34,7 @@ from energyplan.output import pages, plots
 from energyplan.output.pages import Page, Picture
 from energyplan.output.plots import png
 from energyplan.path import Pose
-from energyplan.physics import Effect, EngineDrives, Robot, close_loop
+from energyplan.physics import EngineDrives, EngineRobot, HiddenEffect, close_loop
 from energyplan.physics.engine import require_mujoco
 from energyplan.planning import PlanningProblem
 from energyplan.planning.search.planner import kernels
@@ -260,7 +260,7 @@ def _driven(demo: _Demo) -> None:
     grid = OccupancyGrid.from_polygons(walls, hall.buffer(0.5).bounds, 0.1)
     problem = PlanningProblem(grid, EnergyCost(model), Pose(0.0, 0.0, 0.0), Pose(9.0, 0.0, 0.0))
     border = {"direction": math.pi / 2, "offset": 1.1}
-    robot = Effect("surface_border", 0.3, border).on(Robot.from_model(model))
+    robot = HiddenEffect("surface_border", 0.3, border).on(EngineRobot.from_model(model))
     result = close_loop(
         problem, EngineDrives(robot), rounds=2, tolerance=0.0, survey=40.0, effort=20_000
     )

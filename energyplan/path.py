@@ -21,9 +21,17 @@ ROUNDING = 1e-9  # part of a number by which rounding may change it [1]
 PLACE = 1e-9  # distance below which two places are one [m]
 ANGLE = 1e-12  # difference below which two headings are one [rad]
 STILL = 1e-6  # arc length below which a motion is a turn on the spot [m]
-_MOST_PIECES = 1e8  # of a path that is divided
-_FULL_TURN = 6.3  # with rounding [rad]
-_TURNED = 10.0  # yaw beyond which whole and half numbers count as degrees
+
+
+class PathLimits(NamedTuple):
+    """Sizes of a path that are mistakes."""
+
+    most_parts: float = 1e8  # of a path that is divided
+    full_turn: float = 6.3  # with rounding [rad]
+    degrees: float = 10.0  # yaw beyond which whole and half numbers count as degrees
+
+
+_LIMITS = PathLimits()
 
 
 class Pose(NamedTuple):
@@ -48,7 +56,7 @@ def refuse_degrees(
     Yaws in radians are hardly ever whole or half numbers, all of them, beyond ten; those in degrees
     mostly are.
     """
-    wide = angles[np.abs(angles) >= _TURNED]
+    wide = angles[np.abs(angles) >= _LIMITS.degrees]
     if wide.size and np.all(2 * angles == np.round(2 * angles)):
         raise error(
             f"{name} is {wide[0]:g} rad, which seems to be in degrees; write {wide[0]:g}deg in a "
@@ -83,7 +91,7 @@ def parse_pose(given: str | Sequence[object]) -> Pose:
         raise InvalidInputError(
             f"pose {shown} is not X,Y,YAW; write it like 2.0,3.5,90deg or 2.0,3.5,1.57"
         ) from None
-    if abs(pose.yaw) > _FULL_TURN:
+    if abs(pose.yaw) > _LIMITS.full_turn:
         raise InvalidInputError(
             f"the yaw of pose {shown} is more than a full turn in radians; for degrees write "
             f"{str(yaw).strip().removesuffix('deg')}deg, up to 360"
@@ -217,10 +225,10 @@ class Path(ByValue):
         pieces = np.ceil(
             np.maximum(np.abs(self.ds) / max_ds, np.abs(self.dtheta) / max_dtheta) - ROUNDING
         )
-        if pieces.sum() > _MOST_PIECES:
+        if pieces.sum() > _LIMITS.most_parts:
             raise PathError(
                 f"max_ds {max_ds:g} and max_dtheta {max_dtheta:g} make {pieces.sum():.3g} "
-                f"segments; at most {_MOST_PIECES:g} are possible"
+                f"segments; at most {_LIMITS.most_parts:g} are possible"
             )
         count = np.maximum(pieces, 1).astype(int)
         return Path(

@@ -23,7 +23,7 @@ from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.io.config import Project
 from energyplan.logs.mapping import Column
 from energyplan.mission import Robot
-from energyplan.physics.robot import Effect
+from energyplan.physics.robot import HiddenEffect
 from energyplan.planning.replanning import replan
 from energyplan.power import Sides
 from energyplan.terrain import Terrain
@@ -339,7 +339,7 @@ HELD: list[Callable[[], object]] = [
     lambda: FoundEffect(
         "hotel_load", "P_0", 40.2, "W", 0.6, Evidence(0.42, 0.06, 1e-8), details={"phase": 0.1}
     ),
-    lambda: Effect.parse("tilted_plane=0.05,direction=1.57"),
+    lambda: HiddenEffect.parse("tilted_plane=0.05,direction=1.57"),
     lambda: Project("a", VEHICLE, {"t": Column(field="time")}, defaults={"mass": 3.0}),
 ]
 COPIES: dict[str, Callable[[Any], Any]] = {

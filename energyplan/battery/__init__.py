@@ -60,6 +60,16 @@ class BatteryRun:
         """State of charge at the end."""
         return float(self.soc[-1])
 
+    @property
+    def peak_current(self) -> float:
+        """Largest current that it delivers [A]; 0 where it delivers none."""
+        return float(max(self.current.max(), 0.0))
+
+    @property
+    def peak_power(self) -> float:
+        """Largest power that it delivers [W]; 0 where it delivers none."""
+        return float(max((self.voltage * self.current).max(), 0.0))
+
 
 @runtime_checkable
 class BatteryModel(Protocol):
@@ -125,6 +135,8 @@ SAGS = {
     "current": "the battery would have to deliver more current than it may",
 }
 """Brown-outs under a power that is too large, as sentences."""
+BROWN_OUTS = {**SAGS, "charge": "it is empty"}
+"""All brown-outs, as sentences."""
 _AGREE = 0.15
 """How much an energy may differ from charge times voltage, whose values on labels are rounded."""
 

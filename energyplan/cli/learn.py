@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
 from types import FrameType
@@ -35,6 +35,7 @@ from energyplan.errors import EnergyPlanError, InvalidInputError, NotIdentifiabl
 
 if TYPE_CHECKING:
     from energyplan.fit import ICREstimate
+    from energyplan.io.start import Start
     from energyplan.live import Line, Restart
     from energyplan.logs import DriveLog
     from energyplan.power import Term
@@ -48,26 +49,39 @@ _QUESTIONS = {
 }
 
 
+@dataclass(frozen=True)
+class MeasureOptions:
+    """What is known of a robot that no vehicle describes."""
+
+    wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None
+    track: Annotated[
+        float | None, Option(help="Distance of left from right contact points [m].")
+    ] = None
+    wheelbase: Annotated[
+        float | None, Option(help="Distance of front from rear contact points [m].")
+    ] = None
+    mass: Annotated[float | None, Option(help="Mass as it drives, with payload [kg].")] = None
+    counts_per_revolution: Annotated[
+        float | None, Option(metavar="N", help="Counts of an encoder for one turn of the wheel.")
+    ] = None
+
+    @property
+    def known(self) -> dict[str, float]:
+        """What is given."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
 @app.command(
     epilog="Example: energyplan start foreign.csv --track 0.5 --wheelbase 0.475 --mass 147 "
     "--out robot.yaml"
 )
 def start(
     logs: opt.Logs,
+    *,
     out: Annotated[
         Path | None, opt.output("Write the project to this YAML file.", *opt.YAML)
     ] = None,
-    wheel_radius: Annotated[float | None, Option(help="Radius of the wheels [m].")] = None,
-    track: Annotated[
-        float | None, Option(help="Distance of left from right contact points [m].")
-    ] = None,
-    wheelbase: Annotated[
-        float | None, Option(help="Distance of front from rear contact points [m].")
-    ] = None,
-    mass: Annotated[float | None, Option(help="Mass as it drives, with payload [kg].")] = None,
-    counts_per_revolution: Annotated[
-        float | None, Option(metavar="N", help="Counts of an encoder for one turn of the wheel.")
-    ] = None,
+    measures: MeasureOptions,
     name: Annotated[str, Option(help="Name of the robot. Default: the project's.")] = "",
     like: Annotated[
         str | None,
@@ -110,21 +124,15 @@ def start(
         if value is not None:
             raise InvalidInputError(f"{option} is for the image of a map; leave it out with logs")
 
-    from energyplan.io.config import write_project
     from energyplan.io.given import Given, read_like
     from energyplan.io.start import start_all
     from energyplan.output import documents, text
 
-    numbers = {
-        "wheel_radius": wheel_radius, "track": track, "wheelbase": wheelbase, "mass": mass,
-        "counts_per_revolution": counts_per_revolution,
-    }  # fmt: skip
-    known: Any = {key: value for key, value in numbers.items() if value is not None}
-    asked: dict[str, float] = {}
+    typed: dict[str, float] = {}
     if like is None and not json and sys.stdin.isatty() and sys.stderr.isatty():
-        told = {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if key not in known}
-        asked = {key: value for key, value in told.items() if value is not None}
-    known = ({} if like is None else read_like(like)) | known | asked
+        replies = {key: _ask(_QUESTIONS[key]) for key in _QUESTIONS if key not in measures.known}
+        typed = {key: value for key, value in replies.items() if value is not None}
+    known: Any = ({} if like is None else read_like(like)) | measures.known | typed
     if not name and like is None and out is not None:
         name = out.stem  # a robot is called as its project is, not as a drive of it
     given = Given(**known, name=name, columns=opt.columns_of(columns), unsigned=unsigned)
@@ -132,26 +140,39 @@ def start(
         with progress("looking into the log"):
             result = start_all(logs, given)
     except EnergyPlanError:
-        if asked:  # so that nobody need type it again
-            warn("typed: " + " ".join(f"--{k.replace('_', '-')} {v:g}" for k, v in asked.items()))
+        if typed:  # so that nobody need type it again
+            warn("typed: " + " ".join(f"--{k.replace('_', '-')} {v:g}" for k, v in typed.items()))
         raise
+    result = _with_reverse(result, reverse, like)
+    sound = result.sound or accept
+    done = _write_start(result, logs, out) if sound else (
+        f"not written: {'a project' if out is None else out}; mend what is WRONG, or write it all "
+        "the same with --accept"
+    )  # fmt: skip
+    answer(documents.start(result), [*text.start(result), done], json=json)
+    verdict(result.sound, strict or not sound)
+
+
+def _with_reverse(result: Start, reverse: str | None, like: str | None) -> Start:
+    """Set whether the robot may drive backwards; where nothing says so, a note does."""
     if reverse is not None:
         robot = replace(result.project.vehicle, reverse=reverse == "yes")
         result = replace(result, project=replace(result.project, vehicle=robot))
     elif like is None:
         note = "plans may drive the robot backwards; give --reverse no where it must not"
         result = replace(result, notes=(*result.notes, note))
-    written = result.sound or accept
-    done = "give --out PROJECT.yaml to write it as a project"
-    if out is not None and written:
-        write_project(result.project, out)
-        files = " ".join(map(str, logs))
-        done = f"written: {out}; next: energyplan diagnose {files} --project {out} --out model.yaml"
-    elif not written:
-        where = "a project" if out is None else out
-        done = f"not written: {where}; mend what is WRONG, or write it all the same with --accept"
-    answer(documents.start(result), [*text.start(result), done], json=json)
-    verdict(result.sound, strict or not written)
+    return result
+
+
+def _write_start(result: Start, logs: list[Path], out: Path | None) -> str:
+    """Write a project, where it is to be written; return what is to be done next."""
+    from energyplan.io.config import write_project
+
+    if out is None:
+        return "give --out PROJECT.yaml to write it as a project"
+    write_project(result.project, out)
+    then = following("diagnose", *logs, "--project", out, "--out", "model.yaml", keep="")
+    return f"written: {out}; next: {then}"
 
 
 def _start_map(
@@ -169,8 +190,8 @@ def _start_map(
         done = "give --out MAP.yaml to write its YAML"
     else:
         grid = write_map_of_image(image, resolution, out)
-        done = f"written: {out}; next: energyplan compare --map {out} --model MODEL --start X,Y,YAW"
-        done += " --goal X,Y,YAW"
+        words = ("--map", out, "--model", "MODEL", "--start", "X,Y,YAW", "--goal", "X,Y,YAW")
+        done = f"written: {out}; next: {following('compare', *words, keep='')}"
     if plot is not None:
         from energyplan.output import plots
 
@@ -187,11 +208,55 @@ def _ask(question: str) -> float | None:
         raise InvalidInputError(f"{text!r} is no number; write it like 0.555") from None
 
 
+@dataclass(frozen=True)
+class KindOptions:
+    """What the logs hold, where it is no drive."""
+
+    hoisted: Annotated[
+        bool,
+        Option("--hoisted", help="Wheels off the ground: find their friction."),
+    ] = False
+    motor_constant: Annotated[
+        float | None,
+        Option(metavar="K", help="With --hoisted: force per ampere of a side's motor [N/A]."),
+    ] = None
+    spin: Annotated[
+        bool,
+        Option(
+            "--spin",
+            help="The log holds one spin on the spot: find the tread ICRs alone (Morales et al. "
+            "2010, Eq. 5). --out then writes the vehicle with them.",
+        ),
+    ] = False
+    angle: Annotated[str | None, Option(help="With --spin: angle turned, as 3600deg.")] = None
+    angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg"
+    battery: Annotated[
+        str | None,
+        Option(metavar="BATTERY", help="Of a history of tasks that tells shares of its charge."),
+    ] = None
+
+    def check(self, logs: list[Path], terms: str | None, out: Path | None) -> None:
+        """Refuse options that do not go together."""
+        for name, given, mode, chosen in (
+            ("--motor-constant", self.motor_constant, "--hoisted", self.hoisted),
+            ("--angle", self.angle, "--spin", self.spin),
+        ):
+            if given is not None and not chosen:
+                raise InvalidInputError(f"{name} goes with {mode}; give both or neither")
+        if self.spin and (self.hoisted or terms):
+            raise InvalidInputError("--spin finds the tread ICRs alone; leave other options out")
+        if self.spin and len(logs) > 1:
+            raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
+        if self.hoisted and (out or terms):
+            raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
+
+
 @app.command(
     epilog="Example: energyplan identify spiral.csv --vehicle quadriga:full --out model.yaml"
 )
 def identify(
     logs: opt.Logs,
+    *,
     robot: RobotOptions,
     method: Annotated[
         Literal["lad", "simplex", "huber", "windows"],
@@ -207,28 +272,7 @@ def identify(
             help="Terms of the model. Default: slip_friction,traction_resistance.",
         ),
     ] = None,
-    hoisted: Annotated[
-        bool,
-        Option("--hoisted", help="Wheels off the ground: find their friction."),
-    ] = False,
-    motor_constant: Annotated[
-        float | None,
-        Option(metavar="K", help="With --hoisted: force per ampere of a side's motor [N/A]."),
-    ] = None,
-    spin: Annotated[
-        bool,
-        Option(
-            "--spin",
-            help="The log holds one spin on the spot: find the tread ICRs alone (Morales et al. "
-            "2010, Eq. 5). --out then writes the vehicle with them.",
-        ),
-    ] = False,
-    angle: Annotated[str | None, Option(help="With --spin: angle turned, as 3600deg.")] = None,
-    angle_error: Annotated[str, Option(help="With --angle: its standard error.")] = "0deg",
-    battery: Annotated[
-        str | None,
-        Option(metavar="BATTERY", help="Of a history of tasks that tells shares of its charge."),
-    ] = None,
+    kind: KindOptions,
     out: opt.OutModel = None,
     json: opt.Json = False,
 ) -> None:
@@ -239,54 +283,33 @@ def identify(
     does so by the paper's search.
     """
     from energyplan.fit import identify as run
-    from energyplan.fit.identification import doubts_off_the_ground
-    from energyplan.fit.identification import hoisted as inside
     from energyplan.fit.tasks import identify_tasks
     from energyplan.io.config import read_vehicle, write_model, write_vehicle
     from energyplan.io.logs import tasks_of
     from energyplan.output import documents, text
 
     vehicle = read_vehicle(robot.vehicle)
-    for name, given, mode, chosen in (("--motor-constant", motor_constant, "--hoisted", hoisted),
-                                      ("--angle", angle, "--spin", spin)):  # fmt: skip
-        if given is not None and not chosen:
-            raise InvalidInputError(f"{name} goes with {mode}; give both or neither")
-    if spin and (hoisted or terms):
-        raise InvalidInputError("--spin finds the tread ICRs alone; leave other options out")
-    if spin and len(logs) > 1:
-        raise InvalidInputError("--spin takes one log; cut the spin out, or leave --spin out")
-    if hoisted and (out or terms):
-        raise InvalidInputError("--hoisted makes no model; leave out --out and the terms")
+    kind.check(logs, terms, out)
     table = None
-    if len(logs) == 1 and not (spin or hoisted or terms or robot.columns):
+    if len(logs) == 1 and not (kind.spin or kind.hoisted or terms or robot.columns):
         table = _table(logs[0])
-        history = None if table is None else tasks_of(table, _full(battery))
+        history = None if table is None else tasks_of(table, _full(kind.battery))
         if history is not None:
             learned = identify_tasks(history, vehicle)
             if out:
                 write_model(learned.model, out)
             answer(documents.tasks(learned, history), text.tasks(learned, history), json=json)
             return
-    if battery is not None:
+    if kind.battery is not None:
         raise InvalidInputError("--battery goes with a history of tasks; leave it out")
     drives = _read(logs, robot, table)
-    if spin:
-        icr = _icr_of_spin(drives[0], angle, angle_error)
+    if kind.spin:
+        icr = _icr_of_spin(drives[0], kind.angle, kind.angle_error)
         if out:
             write_vehicle(vehicle.with_icr(icr.icr), out)
         answer(documents.icr(icr), text.icr(icr), json=json)
-    elif hoisted:
-        sides = inside(drives, motor_constant)
-        notes = _notes([replace(log, warnings=doubts_off_the_ground(log)) for log in drives])
-        if motor_constant is None:
-            notes += [
-                f"{side.side}: the power hardly grows with speed, as if it were voltage times "
-                "motor current; then give --motor-constant, such as 21.4 for a Husky"
-                for side in sides
-                if side.power_without_speed
-            ]
-        lines = [*text.hoisted(sides), *(f"note: {line}" for line in notes)]
-        answer({"sides": documents.plain(sides), "warnings": notes}, lines, json=json)
+    elif kind.hoisted:
+        _answer_hoisted(drives, kind.motor_constant, json=json)
     else:
         found = run(drives, vehicle, terms=_terms(terms), method=method)
         doubts = (*_notes(drives, found.warnings), *_contradictions(drives, vehicle))
@@ -295,6 +318,24 @@ def identify(
             write_model(found.model, out)
         then = following("diagnose", *logs, "--out", "diagnosed.yaml", keep=opt.OF_ROBOT)
         answer(documents.identification(found), found, json=json, then=then)
+
+
+def _answer_hoisted(drives: list[DriveLog], motor_constant: float | None, *, json: bool) -> None:
+    """Find the friction of wheels off the ground, and say what it is."""
+    from energyplan.fit.identification import doubts_off_the_ground, hoisted
+    from energyplan.output import documents, text
+
+    sides = hoisted(drives, motor_constant)
+    notes = _notes([replace(log, warnings=doubts_off_the_ground(log)) for log in drives])
+    if motor_constant is None:
+        notes += [
+            f"{side.side}: the power hardly grows with speed, as if it were voltage times "
+            "motor current; then give --motor-constant, such as 21.4 for a Husky"
+            for side in sides
+            if side.power_without_speed
+        ]
+    lines = [*text.hoisted(sides), *(f"note: {line}" for line in notes)]
+    answer({"sides": documents.plain(sides), "warnings": notes}, lines, json=json)
 
 
 def _table(path: Path) -> Any:

@@ -17,7 +17,7 @@ from energyplan.cli.routes import ground_of, problem_of
 from energyplan.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from energyplan.physics import Effect, Robot
+    from energyplan.physics import EngineRobot, HiddenEffect
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class Truth:
         None
     )
 
-    def effects(self, robot: Robot, x: float, y: float) -> tuple[Effect, ...]:
+    def effects(self, robot: EngineRobot, x: float, y: float) -> tuple[HiddenEffect, ...]:
         """Return the effects that were declared, and those that were drawn around a place."""
         from energyplan.io.files import atomic_write
         from energyplan.output.documents import plain
-        from energyplan.physics import Effect, draw_effects
+        from energyplan.physics import HiddenEffect, draw_effects
 
-        chosen = tuple(Effect.parse(text) for text in self.effect or ())
+        chosen = tuple(HiddenEffect.parse(text) for text in self.effect or ())
         if self.hidden is not None:
             chosen += draw_effects(robot, self.hidden, around=(x, y))
         if self.truth:
@@ -83,7 +83,7 @@ def drive(
     from energyplan.io.tables import read_trajectory, write_log
     from energyplan.output import documents
     from energyplan.physics import EngineGround as Floor
-    from energyplan.physics import Robot, Sensors, switch_on
+    from energyplan.physics import EngineRobot, Sensors, switch_on
     from energyplan.physics import drive as run
 
     wanted = read_trajectory(trajectory)
@@ -91,7 +91,7 @@ def drive(
     ground = ground_of(DriveOptions(model), place)
     surfaces, heights = (ground.site.surfaces, ground.site.heights) if ground.site else (None, None)
     recording = Sensors.parse(sensors)
-    simulated = Robot.from_model(ground.model)
+    simulated = EngineRobot.from_model(ground.model)
     x, y, _ = wanted.poses[len(wanted) // 2]
     simulated = switch_on(simulated, robot.effects(simulated, float(x), float(y)))
     with progress("driving"):
@@ -140,7 +140,7 @@ def close_the_loop(
     from energyplan.output import documents
     from energyplan.output.pages import loop_page
     from energyplan.path import parse_pose
-    from energyplan.physics import EngineDrives, Robot, close_loop, switch_on
+    from energyplan.physics import EngineDrives, EngineRobot, close_loop, switch_on
     from energyplan.physics import EngineGround as Floor
     from energyplan.physics.loop import Source
 
@@ -159,7 +159,7 @@ def close_the_loop(
             )
         source = read_drives(files, problem.cost.vehicle.name)
     else:
-        simulated = Robot.from_model(problem.cost.model)
+        simulated = EngineRobot.from_model(problem.cost.model)
         x = 0.5 * (problem.start.x + problem.goal.x)
         y = 0.5 * (problem.start.y + problem.goal.y)
         simulated = switch_on(simulated, robot.effects(simulated, x, y))

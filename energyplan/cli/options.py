@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer import Argument, Option
@@ -15,6 +15,7 @@ from typer import Argument, Option
 from energyplan.errors import InvalidInputError, needs_extra
 
 if TYPE_CHECKING:
+    from energyplan.battery import Battery
     from energyplan.path import Pose
     from energyplan.planning import Goal
 
@@ -68,6 +69,14 @@ def number(option: str, kind: str, text: str) -> float:
         raise InvalidInputError(
             f"{option} {text!r} is no number; write one, with its unit if it is not SI: {units}"
         ) from None
+
+
+def fraction(option: str, text: str) -> float:
+    """Return the part of a whole that an option gives."""
+    value = number(option, "fraction", text)
+    if not 0.0 <= value <= 1.0:
+        raise InvalidInputError(f"{option} {text} is not between 0 and 1; give a part, as 80%")
+    return value
 
 
 def columns_of(value: str | None) -> Any:
@@ -162,6 +171,52 @@ class DriveOptions:
     speed: Speed = None
 
 
+class Pack(NamedTuple):
+    """A battery and its state of charge."""
+
+    battery: Battery
+    soc: float
+
+
+@dataclass(frozen=True)
+class BatteryOptions:
+    """The battery at the start."""
+
+    battery: Annotated[
+        str | None,
+        Option(
+            metavar="BATTERY",
+            help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'; energy is then "
+            "counted at the battery.",
+        ),
+    ] = None
+    soc: Annotated[
+        str | None, Option(help="State of charge at the start, as 80%. Default: full.")
+    ] = None
+
+    @property
+    def pack(self) -> Pack | None:
+        """The battery and its charge, where one is given; its notes are said."""
+        from energyplan.cli.answers import warn
+        from energyplan.io.mission import read_battery  # with all of missions
+
+        if self.battery is None:
+            if self.soc is not None:
+                raise InvalidInputError(
+                    "--soc is the charge of a battery; give --battery, or leave it out"
+                )
+            return None
+        charge = 1.0 if self.soc is None else fraction("--soc", self.soc)
+        pack = read_battery(self.battery)
+        for note in pack.notes:
+            warn(note)
+        return Pack(pack, charge)
+
+    def measured(self, drive: DriveOptions) -> DriveOptions:
+        """Return how a robot is driven, its energy measured at the battery if there is one."""
+        return replace(drive, at_battery=drive.at_battery or self.battery is not None)
+
+
 @dataclass(frozen=True)
 class SiteOptions:
     """The place: its map, and what lies on it or closes parts of it."""
@@ -179,8 +234,8 @@ class SiteOptions:
 
 OF_ROBOT = "--project --vehicle --columns --topics --unsigned"
 OF_ROUTE = (
-    "--map --resolution --surfaces --keepout --clearance --model --at-battery --speed --start "
-    "--goal --effort --turning --reverse --planner"
+    "--map --resolution --surfaces --keepout --clearance --model --at-battery --battery --soc "
+    "--speed --start --goal --effort --turning --reverse --planner"
 )
 """Options that the command which one gives next takes as they are."""
 

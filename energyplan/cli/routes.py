@@ -28,21 +28,24 @@ from energyplan.cli.answers import (
 )
 from energyplan.cli.app import app
 from energyplan.cli.options import (
+    BatteryOptions,
     DriveOptions,
     Effort,
     GoalOptions,
+    Pack,
     ReturnOptions,
     SiteOptions,
-    number,
+    fraction,
 )
 from energyplan.errors import InvalidInputError, NoPathError
 
 if TYPE_CHECKING:
     from energyplan.io.sites import ModelOnSite
-    from energyplan.mission import Mission
-    from energyplan.path import Pose
+    from energyplan.mission import Mission, MissionReport
+    from energyplan.path import Pose, Trajectory
     from energyplan.planning import Goal, Plan, PlanningProblem
     from energyplan.power import PowerModel
+    from energyplan.reach import UsableCharge
     from energyplan.terrain import Site
 
     Goals = tuple[Goal, ...]
@@ -93,7 +96,7 @@ class Routing:
         if self.trajectory is None:
             return following("plan", "--trajectory", "drive.csv", keep=opt.OF_ROUTE)
         ground = "--map " if site.resolution is None else ""
-        return following("check", self.trajectory, keep=f"{ground}--model")
+        return following("check", self.trajectory, keep=f"{ground}--model --battery --soc")
 
     def write(self, problem: PlanningProblem, plans: dict[str, Plan]) -> None:
         """Write the first of some plans as a table, or all as a recording; draw them all."""
@@ -202,6 +205,7 @@ def plan(
     effort: Effort,
     routing: Routing,
     goals: GoalOptions,
+    supply: BatteryOptions,
     former: Annotated[
         Path | None,
         Option(
@@ -228,9 +232,9 @@ def plan(
     Prints its energy, and how far from optimal it can be at most.
     """
     from energyplan.io.tables import read_path
-    from energyplan.output import documents
+    from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.planning import plan as run
+    from energyplan.planning import plan as search
     from energyplan.planning.replanning import replan
 
     if former is None and not goals.goal:
@@ -241,17 +245,18 @@ def plan(
         raise InvalidInputError("--former has its own goal, the end of the path; leave --goal out")
     if former is not None and routing.planner != "lattice":
         raise InvalidInputError(f"--former needs the planner lattice, not {routing.planner}")
-    here = parse_pose(start)
+    here, pack = parse_pose(start), supply.pack
     there = goals.goals if goals.goal else here
     problem = routing.problem(
-        site, drive, here, there, objective=objective, costmap_weight=costmap_weight
-    )
+        site, supply.measured(drive), here, there, objective=objective,
+        costmap_weight=costmap_weight,
+    )  # fmt: skip
     if costmap_weight and problem.costmap is None:
         raise InvalidInputError("--costmap-weight needs a site's file that names a costmap")
     spent = asdict(effort)
     if former is None:
         with planning(json, strict):
-            result = run(problem, planner=routing.planner, **spent)
+            result = search(problem, planner=routing.planner, **spent)
     else:
         path = read_path(former, problem.cost.icr.longitudinal)
         with planning(json, strict):
@@ -259,7 +264,9 @@ def plan(
     drive_to(routing.trajectory, result)
     routing.write(problem, {"plan": result})
     then = routing.next(site) if former is None else ""
-    answer(documents.plan(result), result, json=json, then=then)
+    run = None if pack is None else result.drawn(*pack)
+    lines = [result, *text.battery(run)]
+    answer(documents.plan(result, run), lines, json=json, then=then)
 
 
 @app.command(
@@ -273,6 +280,7 @@ def compare(
     effort: Effort,
     routing: Routing,
     goals: GoalOptions,
+    supply: BatteryOptions,
     report: opt.Report = None,
     json: opt.Json = False,
     strict: opt.Strict = False,
@@ -281,13 +289,14 @@ def compare(
 
     Plans the route of least energy and the shortest one, and prices both by the same model.
     """
-    from energyplan.comparison import compare as run
-    from energyplan.output import documents
+    from energyplan.comparison import compare as search
+    from energyplan.output import documents, text
     from energyplan.path import parse_pose
 
-    problem = routing.problem(site, drive, parse_pose(start), goals.goals)
+    pack = supply.pack
+    problem = routing.problem(site, supply.measured(drive), parse_pose(start), goals.goals)
     with planning(json, strict):
-        result = run(problem, planner=routing.planner, **asdict(effort))
+        result = search(problem, planner=routing.planner, **asdict(effort))
     drive_to(routing.trajectory, result.energy_optimal)
     if result.shortest.path != result.energy_optimal.path:
         drive_to(None, result.shortest)
@@ -296,7 +305,11 @@ def compare(
         from energyplan.output.pages import comparison_page
 
         write_report(comparison_page(result, problem), report)
-    answer(documents.comparison(result), result, json=json, then=routing.next(site))
+    both = result.energy_optimal, result.shortest
+    runs = [None if pack is None else one.drawn(*pack) for one in both]
+    named = zip(runs, ("least energy", "shortest"), strict=True)
+    lines = [str(result), *(line for one in named for line in text.battery(*one))]
+    answer(documents.comparison(result, *runs), lines, json=json, then=routing.next(site))
 
 
 @app.command(epilog="Example: energyplan check trajectory.csv --model quadriga:full:concrete")
@@ -306,6 +319,7 @@ def check(
         Argument(help="CSV with columns t,x,y,yaw,v,omega; or x,y,yaw, a path, which is timed."),
     ],
     drive: DriveOptions,
+    supply: BatteryOptions,
     map_file: opt.MaybeSite = None,
     vehicle: Annotated[str | None, Option(help="Vehicle of the motor limits.")] = None,
     out: Annotated[
@@ -324,18 +338,17 @@ def check(
     If they cannot, says where and why, and how fast the robot could drive it.
     """
     from energyplan.cost.speeds import CHEAPEST, parse_speed, tread_speed
-    from energyplan.html import number as figure
-    from energyplan.html import share as percent
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
-    from energyplan.io.tables import read_drive, write_trajectory
-    from energyplan.limits.feasibility import check as run
-    from energyplan.output import documents
+    from energyplan.io.tables import read_drive
+    from energyplan.limits.drive import Ground, Traversal, drawn
+    from energyplan.limits.feasibility import check as test
+    from energyplan.output import documents, text
     from energyplan.path import Trajectory
     from energyplan.planning.driven import drive_path, priced_models
 
-    driven = ground_of(drive, read_site(map_file) if map_file else None)
-    cost = driven.cost(drive.at_battery, drive.speed)
+    driven, pack = ground_of(drive, read_site(map_file) if map_file else None), supply.pack
+    cost = driven.cost(supply.measured(drive).at_battery, drive.speed)
     ground, hills = (driven.site.surfaces, driven.site.heights) if driven.site else (None, None)
     limits = read_vehicle(vehicle) if vehicle else None
     if limits is not None:
@@ -353,24 +366,60 @@ def check(
             "path of x,y,yaw"
         )
     law, ground = priced_models(cost, ground)
-    report = run(found, law, limits, surfaces=ground, heights=hills)
-    document = {**documents.feasibility(report), "out_duration": None}
-    lines = str(report).splitlines()
-    if out and report.max_speed_scale > 0:
-        share = 1.0 if report.feasible else report.max_speed_scale
+    report = test(found, law, limits, surfaces=ground, heights=hills)
+    run = None
+    if pack is not None:
+        energies = Traversal(found, Ground(law, ground, hills)).interval_energies()
+        run = drawn(pack.battery, found.t, energies, pack.soc)
+    document = {**documents.feasibility(report, run), "out_duration": None}
+    lines = [*str(report).splitlines(), *text.battery(run)]
+    share = 1.0 if report.feasible else report.max_speed_scale
+    if out and share > 0:
         slowed = found if report.feasible else found.scaled(share)
-        write_trajectory(slowed, out)
         document["out_duration"] = slowed.duration
-        lines.append(f"{out}: {figure(slowed.duration)} s, at {percent(share)} of these speeds")
+        lines.append(_write_slowed(slowed, share, out))
     elif out:
         warn(f"{out} is not written: the motors drive this trajectory at no speed")
     then = following("mission", "MISSION.yaml", keep="")
     if not report.feasible:
-        kept = "--map --model --at-battery --speed --vehicle"
+        kept = "--map --model --at-battery --battery --soc --speed --vehicle"
         slower = following("check", trajectory, "--out", "slower.csv", keep=kept)
         then = "" if out or report.max_speed_scale <= 0 else slower
     answer(document, lines, json=json, then=then)
     verdict(report.feasible, strict)
+
+
+def _write_slowed(slowed: Trajectory, part: float, out: Path) -> str:
+    """Write a trajectory that the motors can drive; return the line that says so."""
+    from energyplan.html import number, share
+    from energyplan.io.tables import write_trajectory
+
+    write_trajectory(slowed, out)
+    return f"{out}: {number(slowed.duration)} s, at {share(part)} of these speeds"
+
+
+@dataclass(frozen=True)
+class EnergyOptions:
+    """The energy at hand, where no battery says it, and what is kept of either."""
+
+    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None
+    reserve: Annotated[
+        str,
+        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
+    ] = "0"
+
+    def usable(self, problem: PlanningProblem, pack: Pack | None) -> float | UsableCharge | None:
+        """Return what may be used of it, or of a battery; None where neither is given."""
+        from energyplan.reach import UsableCharge
+
+        kept = fraction("--reserve", self.reserve)
+        if pack is not None:
+            return UsableCharge(problem.cost, *pack, kept)
+        if self.energy is not None and kept == 1.0:
+            raise InvalidInputError(
+                f"--reserve {self.reserve} leaves nothing of the energy; keep less"
+            )
+        return None if self.energy is None else (1.0 - kept) * self.energy
 
 
 @app.command(
@@ -383,21 +432,8 @@ def reach(
     model: opt.ModelName,
     start: opt.PoseText,
     home: ReturnOptions,
-    energy: Annotated[float | None, Option(help="Energy at hand [J].")] = None,
-    battery: Annotated[
-        str | None,
-        Option(
-            metavar="BATTERY",
-            help="A preset, a YAML file, or words such as '24 V 20 Ah lead-acid'.",
-        ),
-    ] = None,
-    soc: Annotated[
-        str | None, Option(help="State of charge at the start, as 80%. Default: full.")
-    ] = None,
-    reserve: Annotated[
-        str,
-        Option(help="State of charge to keep, as 20%; with --energy, which part of it to keep."),
-    ] = "0",
+    supply: BatteryOptions,
+    at_hand: EnergyOptions,
     at_battery: opt.AtBattery = False,
     confidence: Annotated[
         float | None,
@@ -424,33 +460,18 @@ def reach(
     from energyplan.io.tables import write_contours, write_energies
     from energyplan.output import documents, text
     from energyplan.path import parse_pose
-    from energyplan.reach import UsableCharge, energy_map
+    from energyplan.reach import energy_map
 
-    if battery and energy is not None:
+    if supply.battery and at_hand.energy is not None:
         raise InvalidInputError("--battery and --energy both set the energy at hand; give one")
-    if energy == math.inf:
+    if at_hand.energy == math.inf:
         raise InvalidInputError("--energy is infinite; leave it out for the whole map")
-    if soc is not None and battery is None:
-        raise InvalidInputError("--soc is the charge of a battery; give --battery, or leave it out")
     if spread and confidence is None:
         raise InvalidInputError("--spread needs --confidence; give both")
-    kept = _fraction("--reserve", reserve)
-    usable: float | UsableCharge | None = None
-    pose = parse_pose(start)
-    # what a battery delivers is measured at the battery
-    drive = DriveOptions(model, at_battery=at_battery or battery is not None)
+    pose, pack = parse_pose(start), supply.pack
+    drive = supply.measured(DriveOptions(model, at_battery=at_battery))
     problem = problem_of(SiteOptions(map_file), drive, pose, pose, reverse)
-    if battery:
-        from energyplan.io.mission import read_battery  # with all of missions
-
-        charge, pack = 1.0 if soc is None else _fraction("--soc", soc), read_battery(battery)
-        for note in pack.notes:
-            warn(note)
-        usable = UsableCharge(problem.cost, pack, charge, kept)
-    elif energy is not None:
-        if kept == 1.0:
-            raise InvalidInputError(f"--reserve {reserve} leaves nothing of the energy; keep less")
-        usable = (1.0 - kept) * energy
+    usable = at_hand.usable(problem, pack)
     with progress("searching"):
         found = energy_map(
             problem, energy=math.inf if usable is None else usable,
@@ -470,11 +491,54 @@ def reach(
     answer(documents.energy_map(found, areas), text.energy_map(found, areas), json=json)
 
 
-def _fraction(option: str, text: str) -> float:
-    value = number(option, "fraction", text)
-    if not 0.0 <= value <= 1.0:
-        raise InvalidInputError(f"{option} {text} is not between 0 and 1; give a part, as 80%")
-    return value
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where many missions are evaluated, and where their lines go."""
+
+    cluster: Annotated[
+        str | None,
+        Option(
+            metavar="ADDRESS",
+            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
+            "of this machine, local: a JSON line for each.",
+        ),
+    ] = None
+    insecure_cluster: Annotated[
+        bool,
+        Option(
+            "--insecure-cluster",
+            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
+        ),
+    ] = False
+    cluster_ca: Annotated[
+        Path | None,
+        Option(
+            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
+        ),
+    ] = None
+    cluster_cert: Annotated[
+        Path | None,
+        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
+    ] = None
+    cluster_key: Annotated[
+        Path | None,
+        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
+    ] = None
+    results: Annotated[
+        Path | None,
+        opt.output(
+            "With --cluster: add the lines to this file; missions that it has are skipped.",
+            ".jsonl",
+        ),
+    ] = None
+
+    @property
+    def access(self) -> dict[str, Any]:
+        """What a cluster is reached with."""
+        return {
+            "insecure": self.insecure_cluster, "ca": self.cluster_ca,
+            "certificate": self.cluster_cert, "key": self.cluster_key,
+        }  # fmt: skip
 
 
 @app.command(epilog="Example: energyplan mission mission_warehouse.yaml --report mission.html")
@@ -483,6 +547,7 @@ def mission(
         list[Path],
         Argument(metavar="MISSION.yaml...", help="Its keys are listed in docs/missions."),
     ],
+    *,
     effort: opt.Work = None,
     reverse: opt.Reverse = None,
     fail: Annotated[
@@ -497,42 +562,7 @@ def mission(
         Path | None,
         opt.output("Write each drive to this folder (t,x,y,yaw,v,omega), and into --json."),
     ] = None,
-    cluster: Annotated[
-        str | None,
-        Option(
-            metavar="ADDRESS",
-            help="Evaluate many missions on Dask's scheduler at tls://HOST:8786, or on the cores "
-            "of this machine, local: a JSON line for each.",
-        ),
-    ] = None,
-    insecure_cluster: Annotated[
-        bool,
-        Option(
-            "--insecure-cluster",
-            help="Allow a --cluster without TLS: anyone who reaches it runs code as you.",
-        ),
-    ] = False,
-    cluster_ca: Annotated[
-        Path | None,
-        Option(
-            "--cluster-ca", metavar="FILE", help="Certificate of the cluster's authority (PEM)."
-        ),
-    ] = None,
-    cluster_cert: Annotated[
-        Path | None,
-        Option("--cluster-cert", metavar="FILE", help="Your certificate for the cluster (PEM)."),
-    ] = None,
-    cluster_key: Annotated[
-        Path | None,
-        Option("--cluster-key", metavar="FILE", help="The private key of --cluster-cert (PEM)."),
-    ] = None,
-    results: Annotated[
-        Path | None,
-        opt.output(
-            "With --cluster: add the lines to this file; missions that it has are skipped.",
-            ".jsonl",
-        ),
-    ] = None,
+    many: ClusterOptions,
     json: opt.Json = False,
     strict: opt.Strict = False,
 ) -> None:
@@ -541,22 +571,19 @@ def mission(
     Names the tasks that cannot be done, why, and what would change that. A file with robots is
     shared between them: which robot does which task, and when it charges.
     """
-    from energyplan.io.tables import write_trajectory
     from energyplan.mission import evaluate
     from energyplan.output import documents, text
 
-    if cluster is not None:
+    if many.cluster is not None:
         if report or trajectories or fail or strict:
             raise InvalidInputError(
                 "--report, --trajectories, --fail and --strict are of one mission; leave them out"
             )
-        tls = {"ca": cluster_ca, "certificate": cluster_cert, "key": cluster_key}
-        access = {"insecure": insecure_cluster, **tls}
-        _many(files, cluster, access, results, effort=effort, reverse=reverse)
+        _many(files, many.cluster, many.access, many.results, effort=effort, reverse=reverse)
         return
-    if cluster_ca or cluster_cert or cluster_key:
+    if many.cluster_ca or many.cluster_cert or many.cluster_key:
         raise InvalidInputError("--cluster-ca, --cluster-cert and --cluster-key need --cluster")
-    if len(files) > 1 or results:
+    if len(files) > 1 or many.results:
         raise InvalidInputError("several missions and --results need --cluster ADDRESS, or local")
     wanted = _read_mission(files[0], effort, reverse)
     if fail is not None and not wanted.robots:
@@ -567,11 +594,7 @@ def mission(
         after = evaluate(result.after_failure(name, instant)) if name else None
     failure = text.failure(result, name, instant) if name else ""
     if trajectories:
-        trajectories.mkdir(parents=True, exist_ok=True)
-        for r, one in enumerate(result.robots or (result,), start=1):
-            robot = f"robot_{r:02d}_" if result.robots else ""
-            for k, leg in enumerate(one.legs, start=1):
-                write_trajectory(leg.trajectory, trajectories / f"{robot}leg_{k:02d}.csv")
+        _write_trajectories(result, trajectories)
     if report:
         from energyplan.output.pages import mission_page
 
@@ -584,6 +607,17 @@ def mission(
     then = following("serve", files[0].parent, keep="") if report else shown
     answer(document, lines, json=json, then=then)
     verdict(result.feasible and (after is None or after.feasible), strict)
+
+
+def _write_trajectories(result: MissionReport, folder: Path) -> None:
+    """Write each drive of a mission to a file of its own."""
+    from energyplan.io.tables import write_trajectory
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for r, one in enumerate(result.robots or (result,), start=1):
+        robot = f"robot_{r:02d}_" if result.robots else ""
+        for k, leg in enumerate(one.legs, start=1):
+            write_trajectory(leg.trajectory, folder / f"{robot}leg_{k:02d}.csv")
 
 
 def _many(

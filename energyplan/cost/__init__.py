@@ -280,54 +280,67 @@ class EnergyCost(SteadyDriving):
         """
         return lower_bound(self._element_energy, self.icr, point)
 
-    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates:
+    def driven_rates(self, energy: float = 1.0, time: float = 0.0) -> DrivenRates | None:
         """Return what no drive takes less than, where a joule and a second are weighed.
 
         Drives pass all speeds from a standstill up to the largest; a motion may take less at one of
-        them than at the speed that it is priced at.
+        them than at the speed that it is priced at. None where nothing limits the tread speed.
         """
         top = min(self.vehicle.motor.speed, self.tread_speed or np.inf)
+        if not np.isfinite(top):
+            return None
+        steady = self.same_at_any_speed and self._least_drawn is self._drawn
+        if self.of_heading and steady and not time:
+            return DrivenRates(1.0, 0.0, np.inf)
 
-        def price(x: FloatArray, y: FloatArray) -> FloatArray:
-            joules = self._element_energy(x, y) if energy else 0.0
+        def price(x: FloatArray, y: FloatArray, yaw: FloatArray | None = None) -> FloatArray:
+            joules = self._element_energy(x, y, yaw=yaw) if energy else 0.0
             return np.asarray(
                 energy * joules + (time * self._element_duration(x, y) if time else 0)
             )
 
-        def power(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
-            def drawn(yaw: ArrayLike) -> FloatArray:
-                return self._least_drawn.power(self._motion(x, y, rate, yaw=yaw))
-
+        def power(x: FloatArray, y: FloatArray, yaw: ArrayLike, rate: FloatArray) -> FloatArray:
             if not energy:
                 return np.full(np.broadcast_shapes(x.shape, np.shape(rate)), time)
-            if not self.of_heading:
-                return np.asarray(energy * drawn(0.0) + time)
-            shape = np.broadcast_shapes(x.shape, np.shape(rate))
-            return np.asarray(energy * least_between(drawn, *_ALL_ROUND, shape) + time)
+            drawn = self._least_drawn.power(self._motion(x, y, rate, yaw=yaw))
+            return np.asarray(energy * drawn + time)
 
         def least(
-            value: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
-            x: FloatArray, y: FloatArray,
+            value: Callable[[FloatArray, FloatArray, ArrayLike, FloatArray], FloatArray],
+            x: FloatArray, y: FloatArray, yaw: ArrayLike = 0.0,
         ) -> FloatArray:  # fmt: skip
             """Return the least values over all speeds."""
-            x, y = x.ravel(), y.ravel()
             with np.errstate(divide="ignore"):
                 turns = self.vehicle.max_yaw_rate * self.half_track / np.abs(y)
             limit = np.asarray(np.minimum(top / (np.abs(x) + np.abs(y)), turns))
             limit = self._within_limit(x, y, limit)
-            of = partial(value, x, y)
+            of = partial(value, x, y, yaw)
             return of(speeds.cheapest_rate(_STANDSTILL * limit, limit, of, _SCAN))
 
-        def per_element(x: FloatArray, y: FloatArray, rate: FloatArray) -> FloatArray:
-            return np.asarray(power(x, y, rate) / rate)
+        def per_element(
+            x: FloatArray, y: FloatArray, yaw: ArrayLike, rate: FloatArray
+        ) -> FloatArray:
+            return np.asarray(power(x, y, yaw, rate) / rate)
+
+        def part(x: FloatArray, y: FloatArray, prices: FloatArray) -> FloatArray:
+            """Return the least part of the price, at the heading where it is least."""
+            x, y = x.ravel(), y.ravel()
+            if not self.of_heading:
+                return np.asarray(least(per_element, x, y) / prices.ravel())
+
+            def at(yaw: FloatArray) -> FloatArray:
+                ahead, across = (np.broadcast_to(one, yaw.shape) for one in (x, y))
+                return np.asarray(least(per_element, ahead, across, yaw) / price(x, y, yaw))
+
+            return least_between(at, *_ALL_ROUND, x.shape)
 
         infimum = Infimum(price)
-        share = infimum.least(lambda x, y, prices: least(per_element, x, y) / prices.ravel())
+        share = infimum.least(part)
         # the speed that is priced is one of them
         share = 1.0 if share >= 1.0 - ROUNDING else share * (1.0 - SLACK)
         if self.of_heading or not np.isfinite(self.vehicle.motor.acceleration):
             return DrivenRates(share, 0.0, np.inf)
-        still = infimum.least(lambda x, y, _: least(power, x, y))
+        still = infimum.least(lambda x, y, _: least(power, x.ravel(), y.ravel()))
         travel = infimum.least(lambda x, y, prices: (np.abs(x) + np.abs(y)) / prices)
         quickest = self.vehicle.motor.acceleration * (1.0 + SLACK) / (travel * (1.0 - SLACK))
         return DrivenRates(share, max(still - SLACK * abs(still), 0.0), quickest)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,12 +21,23 @@ from energyplan.vehicle import TreadICR
 SLACK = 1e-6
 """Part by which a rate is reported lower than the least value that the search for it met."""
 
-_DIFFERENCE = 1e-13  # part by which a price may be off by rounding, where differences are taken
-_BASINS = 8  # local minima of the scan that are followed
-_ZOOMS, _CUTS = 7, 9  # rounds in which a minimum is enclosed, and places tried in each
-_PLACES, _DIPS = 48, 3  # places of an interval that are scanned, and minima that are followed
-_WINDING = 0.1  # turn of a typical path, for each half slip track of its length [rad]
-_ARCS = 0.5  # the most that a typical path turns, for each least radius of its length [rad]
+
+class DirectionSearch(NamedTuple):
+    """The search for the least value of directions."""
+
+    # part by which a price may be off by rounding, where differences are taken
+    difference: float = 1e-13
+    basins: int = 8  # local minima of the scan that are followed
+    zooms: int = 7  # rounds in which a minimum is enclosed
+    cuts: int = 9  # places tried in each of them
+    places: int = 48  # places of an interval that are scanned
+    dips: int = 3  # minima of them that are followed
+    winding: float = 0.1  # turn of a typical path, for each half slip track of its length [rad]
+    # the most that a typical path turns, for each least radius of its length [rad]
+    arcs: float = 0.5
+
+
+_SEARCH = DirectionSearch()
 
 
 _Value = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -55,17 +67,17 @@ def least_between(
     `value` takes places of shape (n, ...), where (...) is `shape`, and returns as many values.
     """
     wide = (-1, *[1] * len(shape))
-    at = np.linspace(low, high, _PLACES + 1)
+    at = np.linspace(low, high, _SEARCH.places + 1)
     scanned = value(np.broadcast_to(at.reshape(wide), (len(at), *shape)))
     best = scanned.min(axis=0)
     beside = np.full((1, *shape), np.inf)
     lowest = (scanned <= np.concatenate([beside, scanned[:-1]])) & (
         scanned <= np.concatenate([scanned[1:], beside])
     )
-    place = np.argsort(np.where(lowest, scanned, np.inf), axis=0, kind="stable")[:_DIPS]
-    begin, end = at[np.maximum(place - 1, 0)], at[np.minimum(place + 1, _PLACES)]
-    part = (np.arange(1, _CUTS + 1) / (_CUTS + 1)).reshape(-1, *[1] * place.ndim)
-    for _ in range(_ZOOMS):
+    place = np.argsort(np.where(lowest, scanned, np.inf), axis=0, kind="stable")[: _SEARCH.dips]
+    begin, end = at[np.maximum(place - 1, 0)], at[np.minimum(place + 1, _SEARCH.places)]
+    part = (np.arange(1, _SEARCH.cuts + 1) / (_SEARCH.cuts + 1)).reshape(-1, *[1] * place.ndim)
+    for _ in range(_SEARCH.zooms):
         cuts = begin + (end - begin) * part
         found = value(cuts.reshape(-1, *shape)).reshape(cuts.shape)
         best = np.minimum(best, found.min(axis=(0, 1)))
@@ -144,12 +156,12 @@ class Infimum:
         left = np.column_stack([np.full(8, np.inf), scanned[:, :-1]])
         right = np.column_stack([scanned[:, 1:], np.full(8, np.inf)])
         octant, place = np.nonzero(np.isfinite(scanned) & (scanned <= left) & (scanned <= right))
-        order = np.argsort(scanned[octant, place], kind="stable")[:_BASINS]
+        order = np.argsort(scanned[octant, place], kind="stable")[: _SEARCH.basins]
         octant, place = octant[order], place[order]
         low = self._scan[np.maximum(place - 1, 0)]
         high = self._scan[np.minimum(place + 1, len(self._scan) - 1)]
-        cuts = np.arange(1, _CUTS + 1) / (_CUTS + 1)
-        for _ in range(_ZOOMS):
+        cuts = np.arange(1, _SEARCH.cuts + 1) / (_SEARCH.cuts + 1)
+        for _ in range(_SEARCH.zooms):
             ratio = low[:, None] + (high - low)[:, None] * cuts
             found = lowest(np.broadcast_to(octant[:, None], ratio.shape), ratio)
             best = min(best, float(found.min()))
@@ -171,7 +183,7 @@ class Infimum:
         # A path that turned all the way on the tightest arcs would favour no metre over a radian:
         # any split of such an arc's price gives the same bound, even one that leaves metres free
         widest = max(track, radius)
-        winding = min(_WINDING / half_track, _ARCS / widest if widest > 0 else np.inf)
+        winding = min(_SEARCH.winding / half_track, _SEARCH.arcs / widest if widest > 0 else np.inf)
         metre = self._balanced(travel, half_track, winding)
         radian = self.least(beyond(metre, travel, half_track))
         if radian < 0:
@@ -195,7 +207,7 @@ class Infimum:
         price, way, turn = lowest[turns], way[turns], turn[turns]
 
         def value(metre: float) -> float:
-            radian = float(((price * (1.0 + _DIFFERENCE) - metre * way) / turn).min())
+            radian = float(((price * (1.0 + _SEARCH.difference) - metre * way) / turn).min())
             return metre + winding * radian if radian >= 0 else -np.inf
 
         # the price of a radian is concave in that of a metre, and so is their sum
@@ -230,7 +242,7 @@ def beyond(
     def value(x: FloatArray, y: FloatArray, price: FloatArray) -> FloatArray:
         turn = np.abs(y) / half_track
         with np.errstate(divide="ignore", invalid="ignore"):
-            rest = (price * (1.0 + _DIFFERENCE) - metre * travel(x, y)) / turn
+            rest = (price * (1.0 + _SEARCH.difference) - metre * travel(x, y)) / turn
         return np.where(turn > 0, rest, np.inf)
 
     return value

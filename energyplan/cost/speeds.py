@@ -7,7 +7,7 @@ speeds ``r (x - y)`` and ``r (x + y)``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,23 @@ from energyplan.vehicle import Vehicle
 
 CHEAPEST: Final = "cheapest"
 """The speed where every motion is to be driven as slowly as is cheapest."""
-_UNLIMITED = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
-_SLOWEST = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
-_SCAN = 25  # rates tried before the best is refined
-_PARTS = 8  # parts in which an interval is cut first, all at once
-_CUTS = 64  # how often it is cut, at least by half: 2^-60 is below what numbers resolve
-_SAME = 1e-13  # part by which forces, and energies, may differ by rounding
-_AT_ONCE = 1 << 18  # numbers in an array of rates to try
-_ZOOMS, _TRIED = 12, 5  # rounds in which the best is enclosed, and rates tried in each
+
+
+class SpeedSearch(NamedTuple):
+    """The search for the cheapest speeds."""
+
+    unlimited: float = 1e6  # tread speed [m/s] beyond which a power limit is not looked for
+    slowest: float = 0.05  # slowest tread speed, as a fraction of the vehicle's limit
+    scan: int = 25  # rates tried before the best is refined
+    parts: int = 8  # parts in which an interval is cut first, all at once
+    cuts: int = 64  # how often it is cut, at least by half: 2^-60 is below what numbers resolve
+    same: float = 1e-13  # part by which forces, and energies, may differ by rounding
+    at_once: int = 1 << 18  # numbers in an array of rates to try
+    zooms: int = 12  # rounds in which the best is enclosed
+    tried: int = 5  # rates tried in each of them
+
+
+_SEARCH = SpeedSearch()
 
 
 def tread_speed(given: float | str | None, vehicle: Vehicle) -> float | None:
@@ -92,7 +101,7 @@ def admissible_rate(
         left, right = (_relative(value, (1.0 + 1e-12) * most) for value, most in parts)
         return np.asarray(np.maximum(left, right))
 
-    high = np.minimum(limit, _UNLIMITED / (np.abs(x) + np.abs(y)))
+    high = np.minimum(limit, _SEARCH.unlimited / (np.abs(x) + np.abs(y)))
     force = forces(x, y, high)
     drawn, returned = powers(force, x, y, high)
     bad = np.logical_not(used(drawn, returned) <= 1)
@@ -113,8 +122,8 @@ def admissible_rate(
     found = high * share
     other = forces(x, y, found)
     moved = ~(
-        np.isclose(other.left, left, rtol=_SAME, atol=0.0)
-        & np.isclose(other.right, right, rtol=_SAME, atol=0.0)
+        np.isclose(other.left, left, rtol=_SEARCH.same, atol=0.0)
+        & np.isclose(other.right, right, rtol=_SEARCH.same, atol=0.0)
     )
     if np.any(moved):
         x, y, high = x[moved], y[moved], high[moved]
@@ -138,10 +147,10 @@ def last_within(
     use: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
 ) -> FloatArray:
     """Return the largest values up to which all that are tried are within limits."""
-    parts = np.arange(1, _PARTS).reshape(-1, *[1] * np.ndim(low)) / _PARTS
+    parts = np.arange(1, _SEARCH.parts).reshape(-1, *[1] * np.ndim(low)) / _SEARCH.parts
     cuts = low + (high - low) * parts
     below, above = np.full(np.shape(low), np.nan), use(high[None])[0]
-    for _ in range(_CUTS):
+    for _ in range(_SEARCH.cuts):
         used = use(cuts)
         first = np.logical_and.accumulate(~(used > 1), axis=0).sum(axis=0, keepdims=True)
         going = high - low > 2 * np.spacing(high)
@@ -176,15 +185,15 @@ def slowest_rate(x: FloatArray, y: FloatArray, limit: FloatArray, vehicle: Vehic
     """
     top = vehicle.motor.speed
     if not np.isfinite(top):
-        return np.asarray(_SLOWEST * limit)
-    return np.asarray(np.minimum(limit, _SLOWEST * top / (np.abs(x) + np.abs(y))))
+        return np.asarray(_SEARCH.slowest * limit)
+    return np.asarray(np.minimum(limit, _SEARCH.slowest * top / (np.abs(x) + np.abs(y))))
 
 
 def cheapest_rate(
     slowest: FloatArray,
     limit: FloatArray,
     energy: Callable[[FloatArray], FloatArray],
-    scan: int = _SCAN,
+    scan: int = _SEARCH.scan,
 ) -> FloatArray:
     """Return the rate of least energy between `slowest` and `limit`."""
     ratio = (limit / slowest) ** (1.0 / (scan - 1))
@@ -193,22 +202,22 @@ def cheapest_rate(
     steps = np.arange(scan).reshape(-1, *[1] * limit.ndim)
 
     def same(value: FloatArray, least: FloatArray) -> NDArray[np.bool_]:
-        return np.asarray(value <= least + _SAME * np.abs(least))
+        return np.asarray(value <= least + _SEARCH.same * np.abs(least))
 
-    for some in np.array_split(steps, np.ceil(scan * limit.size / _AT_ONCE) or 1):
+    for some in np.array_split(steps, np.ceil(scan * limit.size / _SEARCH.at_once) or 1):
         values = energy(slowest * ratio**some)
         for k, value in zip(some.flat, values, strict=True):
             place = np.where(same(value, best), k, place)
             best = np.minimum(value, best)
     low = slowest * ratio ** np.maximum(place - 1, 0)
     high = slowest * ratio ** np.minimum(place + 1, scan - 1)
-    parts = np.arange(1, _TRIED + 1).reshape(-1, *[1] * limit.ndim) / (_TRIED + 1)
-    for _ in range(_ZOOMS):
+    parts = np.arange(1, _SEARCH.tried + 1).reshape(-1, *[1] * limit.ndim) / (_SEARCH.tried + 1)
+    for _ in range(_SEARCH.zooms):
         gap = high - low
         values = energy(low + gap * parts)
-        last = _TRIED - 1 - np.argmax(same(values, values.min(axis=0))[::-1], axis=0)
-        low = low + gap * (last / (_TRIED + 1))
-        high = low + gap * (2 / (_TRIED + 1))
+        last = _SEARCH.tried - 1 - np.argmax(same(values, values.min(axis=0))[::-1], axis=0)
+        low = low + gap * (last / (_SEARCH.tried + 1))
+        high = low + gap * (2 / (_SEARCH.tried + 1))
     rate = 0.5 * (low + high)
     rate = np.where(same(energy(rate), energy(slowest)), rate, slowest)
     return np.where(same(energy(limit), energy(rate)), limit, rate)

@@ -251,11 +251,23 @@ def topic_map_of(vehicle: str) -> str | None:
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 """Kinds of file that are read as bags, in addition to folders with a ``metadata.yaml``."""
-_LARGEST_SKEW = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
+
+
+class BagLimits(NamedTuple):
+    """What is read of a bag, and what its fields must show."""
+
+    skew: float = 5.0  # median difference of stamp and arrival: beyond, stamps are not believed [s]
+    message: int = 1 << 16  # bytes; larger ones are images and the like
+    metadata: int = 1 << 23  # bytes; a topic takes a few hundred
+    deepest: int = 6
+    least: int = 20  # least number of values of a field from which anything follows
+    one_battery: float = 0.1  # relative difference up to which two sensors may show one battery
+    turn_rate: float = 0.7  # correlation from which a turn rate is the robot's
+
+
+_BAG = BagLimits()
 _MAGIC = {".bag": b"#ROSBAG V2.0\n", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3"}
 _LARGEST_CHUNK = 1 << 26  # bytes; ROS makes them of 768 kB, or of one larger message
-_LARGEST_MESSAGE = 1 << 16  # bytes; larger ones are images and the like
-_LARGEST_METADATA = 1 << 23  # bytes; a topic takes a few hundred
 # What the packages that read bags raise when the bytes make no sense to them.
 _UNSOUND = (
     AssertionError, AttributeError, EOFError, IndexError, KeyError, MemoryError, OSError,
@@ -374,13 +386,13 @@ class _Topic:
         stamps, arrivals = (np.array(part, np.int64) for part in (self.stamps, self.arrivals))
         t, arrived = (np.asarray((part - start) * 1e-9) for part in (stamps, arrivals))
         skew = np.abs(t - arrived)
-        stamped = bool(np.all(stamps)) and np.median(skew) <= _LARGEST_SKEW
+        stamped = bool(np.all(stamps)) and np.median(skew) <= _BAG.skew
         return Series(t if stamped else arrived, arrived)
 
 
 def _leaves(message: Any, prefix: str = "", depth: int = 0) -> Iterator[str]:
     """Yield the fields of a message that hold numbers, orientations or arrays."""
-    for key in getattr(message, "__dataclass_fields__", {}) if depth <= _DEEPEST else ():
+    for key in getattr(message, "__dataclass_fields__", {}) if depth <= _BAG.deepest else ():
         value, field = getattr(message, key, None), f"{prefix}{key}"
         if key.startswith("__") or key == "header" or "covariance" in key or key.isupper():
             continue
@@ -475,7 +487,7 @@ class Bag:
 
     def is_small(self, connection: Any) -> bool:
         """Return whether these may be readings and no images, by the first message."""
-        return all(len(raw) <= _LARGEST_MESSAGE for _, _, raw in islice(
+        return all(len(raw) <= _BAG.message for _, _, raw in islice(
             self.messages([connection]), 1))  # fmt: skip
 
     def deserialize(self, raw: bytes, kind: str) -> Any:
@@ -629,8 +641,8 @@ def _check_beginning(file: Path) -> None:
         if not sound and file.suffix.lower() == ".bag":
             raise ValueError("it does not begin as a ROS 1 bag does")
     metadata = file / "metadata.yaml"
-    if is_file(metadata) and metadata.stat().st_size > _LARGEST_METADATA:
-        raise ValueError(f"its metadata.yaml is larger than {_LARGEST_METADATA >> 20} MiB")
+    if is_file(metadata) and metadata.stat().st_size > _BAG.metadata:
+        raise ValueError(f"its metadata.yaml is larger than {_BAG.metadata >> 20} MiB")
 
 
 def _bounded(unpack: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
@@ -670,9 +682,7 @@ def _zstd() -> Any:
         return import_module("backports.zstd")
 
 
-_DEEPEST = 6
 LONGEST = 64  # elements of an array without names that are looked at
-_LEAST = 20  # least number of values of a field from which anything follows
 _SIDES = ("v_left", "v_right")
 _JOINTS, _IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
 _MEANING = [
@@ -711,8 +721,6 @@ VFR_HUD                      ahead=groundspeed""".splitlines())
 Flight controllers count yaw clockwise and y to the east; ``ahead`` and ``turn`` make tread speeds.
 """
 _ROLLING = {"wheel", "wheels", "track", "tread", "drivewhl", "drive", "whl"}
-_ONE_BATTERY = 0.1  # relative difference up to which two sensors may show one battery
-_TOLD = 0.7  # correlation from which a turn rate is the robot's
 
 Sources = dict[str, Column]
 
@@ -760,9 +768,11 @@ def of_types(recording: Recording, given: Sources, named: Sources, track: float)
     if not rated["yaw"]:
         rated["yaw"] = [
             (alike, {"yaw": one}) for one in _of_imus(recording, "yaw", ["yaw.orientation"])
-            if abs(alike := _alike(recording, one, left.t, turning)) > _TOLD
+            if abs(alike := _alike(recording, one, left.t, turning)) > _BAG.turn_rate
         ]  # fmt: skip
-    if all(abs(alike) < _TOLD for alike, _ in rated["yaw_rate"]):  # as of a camera's, on its side
+    if all(
+        abs(alike) < _BAG.turn_rate for alike, _ in rated["yaw_rate"]
+    ):  # as of a camera's, on its side
         turned = [
             (_alike(recording, one, left.t, turning), one)
             for one in _of_imus(recording, "yaw_rate", _LYING)
@@ -905,7 +915,7 @@ _LYING = ("angular_velocity.x", "angular_velocity.y")
 
 def _preferred(rated: tuple[float, Sources]) -> tuple[bool, bool, float]:
     alike = abs(rated[0])
-    return alike < _TOLD, alike > _MADE_OF_TREADS, -round(alike, 3)
+    return alike < _BAG.turn_rate, alike > _MADE_OF_TREADS, -round(alike, 3)
 
 
 def _of_imus(recording: Recording, channel: str, names: Iterable[str]) -> list[Column]:
@@ -927,7 +937,7 @@ def _varies(recording: Recording, column: Column) -> bool:
     """Return whether a field's readings change at all."""
     values = _series(recording, column).values
     values = values[np.isfinite(values)]
-    return len(values) >= _LEAST and float(np.ptp(values)) > 0.0
+    return len(values) >= _BAG.least and float(np.ptp(values)) > 0.0
 
 
 def _alike(recording: Recording, column: Column, clock: FloatArray, turning: FloatArray) -> float:
@@ -963,7 +973,7 @@ def _batteries(recording: Recording) -> Typed:
             return Typed(packs[k], {}, tuple(notes))
     for k in range(1, len(packs)):
         alike = re.sub(r"\d+", "0", names[k]) == re.sub(r"\d+", "0", names[0])
-        if not alike and _apart_by(amps[k], amps[0]) < _ONE_BATTERY:
+        if not alike and _apart_by(amps[k], amps[0]) < _BAG.one_battery:
             raise DriveLogError(
                 f"{recording.source}: {names[0]} and {names[k]} may be two batteries, or one "
                 f"that is measured twice: say --columns 'current={names[0]}.current[-A]' for one, "

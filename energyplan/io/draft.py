@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import NamedTuple, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from energyplan.errors import DriveLogError
 from energyplan.io.bags import (
@@ -23,10 +24,9 @@ from energyplan.io.bags import (
 )
 from energyplan.io.given import Given, known_measures
 from energyplan.io.logs import named_columns, tasks_of
-from energyplan.logs.align import Series, usable
+from energyplan.logs.align import Series, align, integral, usable
 from energyplan.logs.checks import grows
 from energyplan.logs.clean import POWER_WAYS
-from energyplan.logs.compass import Recorded, counts_from_north
 from energyplan.logs.consistency import POWERS, correlation
 from energyplan.logs.guess import (
     ENCODER,
@@ -207,8 +207,19 @@ def _of_drawn(recording: Recording, columns: Mapping[str, FloatArray]) -> str:
 
 
 _COUNTED = {"current": ("mAh", "Ah", "C"), "power": ("Wh", "J", "kJ")}
-_DRAWN = (0.2, 2e4)  # what robots draw in the mean, and more [W]
-_VOLTAGE = 24.0  # a usual voltage of a robot's battery [V]
+
+
+class DraftLimits(NamedTuple):
+    """What robots draw, and how alike columns are."""
+
+    drawn: tuple[float, float] = (0.2, 2e4)  # what robots draw in the mean, and more [W]
+    voltage: float = 24.0  # a usual voltage of a robot's battery [V]
+    alike: float = 0.99  # correlation from which two speeds are one
+    # by how much voltages may differ to be of one bus: as much as powers do then
+    one_voltage: float = 0.01
+
+
+_DRAFT = DraftLimits()
 
 
 def _counter_ways(recording: Recording, name: str, channels: Sequence[str]) -> list[str]:
@@ -224,10 +235,10 @@ def _counter_ways(recording: Recording, name: str, channels: Sequence[str]) -> l
     ways = []
     for channel in channels:
         stated = unit_in(channel, name).unit
-        volts = _VOLTAGE if channel == "current" else 1.0
+        volts = _DRAFT.voltage if channel == "current" else 1.0
         for unit in (stated,) if stated else _COUNTED[channel]:
             drawn = rate * scale_of(channel, unit).factor * volts
-            if stated or not isfinite(drawn) or _DRAWN[0] <= drawn <= _DRAWN[1]:
+            if stated or not isfinite(drawn) or _DRAFT.drawn[0] <= drawn <= _DRAFT.drawn[1]:
                 ways.append(f"{channel}={name}[{unit}]")
     return ways or [f"{channel}={name}[UNIT]" for channel in channels]
 
@@ -531,9 +542,6 @@ def _guesses(
     return found
 
 
-_ALIKE = 0.99  # correlation from which two speeds are one
-
-
 def _from_twist(
     recording: Recording, columns: dict[str, Column], found: dict[str, Column], known: Given
 ) -> list[str]:
@@ -541,7 +549,7 @@ def _from_twist(
     used = {name for one in columns.values() for name in one.names}
     several = guess_ahead(name for name in recording.columns if name not in used)
     alike = all(
-        correlation(*recording.together(several[0], name)) > _ALIKE for name in several[1:]
+        correlation(*recording.together(several[0], name)) > _DRAFT.alike for name in several[1:]
     )  # else these may be the speeds of sides, of which no name says so
     ahead = several[0] if several and alike else None
     turns = guess_turns(name for name in recording.columns if name not in used)
@@ -603,9 +611,6 @@ def _powers(recording: Recording, columns: dict[str, Column], guesses: dict[str,
             del guesses["current"], guesses["voltage"]
 
 
-_ONE_VOLTAGE = 0.01  # by how much voltages may differ to be of one bus: as much as powers do then
-
-
 def _product(recording: Recording, current: Column, volts: Column) -> Column:
     """Return the power of a current times its voltage, each of several times its own."""
     names = (current.field, *current.plus)
@@ -618,7 +623,7 @@ def _product(recording: Recording, current: Column, volts: Column) -> Column:
         return power.changed(**({"times": own[0]} if alone else {"each": own}))
     there = sorted({volts.field, *own, *siblings(volts, recording.columns)})
     typical = [float(np.nanmedian(recording.column(name))) for name in there]
-    if max(typical) - min(typical) <= _ONE_VOLTAGE * max(map(abs, typical)):
+    if max(typical) - min(typical) <= _DRAFT.one_voltage * max(map(abs, typical)):
         return power.changed(times=volts.field)
     stated = "+".join(f"{name}*{there[0]}" for name in names)
     raise DriveLogError(
@@ -626,3 +631,102 @@ def _product(recording: Recording, current: Column, volts: Column) -> Column:
         f"current of {' and '.join(names[:4])} has one of its own by name; say which belongs to "
         f"which, as in --columns '{channel}={stated}'"
     )
+
+
+class HeadingTest(NamedTuple):
+    """How dead reckoning and a pose are compared."""
+
+    chance: float = 4.0  # standard errors beyond which an effect is none by chance
+    windows: int = 400  # stretches that are compared, at most
+    blocks: int = 20  # parts of the drive that are taken for independent of each other
+    steps: int = 3  # readings of the slowest sensor in a stretch, at least
+
+
+_TEST = HeadingTest()
+
+
+class Recorded(NamedTuple):
+    """What shows how a robot moves, each on a clock of its own."""
+
+    left: Series  # speeds, in any unit
+    right: Series
+    east: Series
+    north: Series
+    yaw: Series  # heading [rad], unwrapped
+
+
+def counts_from_north(motion: Recorded) -> bool | None:
+    """Return whether a heading counts clockwise from the north; None where nothing shows it.
+
+    The robot goes where it heads: dead reckoning by the wheels' speed and the heading, read in
+    both ways, is compared with the pose over stretches of time. One of them must explain the pose
+    better than the other by more than `_TEST.chance` standard errors, which hold the noise of the
+    drive itself. Which side of the robot is which does not matter to this. Where the robot goes
+    hardly anywhere, or along one line, the turning of the wheels decides, by the same bound.
+    """
+    left, right, east, north, yaw = map(usable, motion)
+    if min(map(len, (left.t, right.t, east.t, north.t, yaw.t))) < _TEST.blocks:
+        return None
+    t = left.t
+    other, angle = (align(one, t).values for one in (right, yaw))
+    known = np.isfinite(other) & np.isfinite(angle)
+    start = max(one.t[0] for one in (left, right, east, north, yaw))
+    end = min(one.t[-1] for one in (left, right, east, north, yaw))
+    step = max(float(np.median(np.diff(one.t))) for one in (left, right, east, north, yaw))
+    count = int(min(_TEST.windows, (end - start) / (_TEST.steps * step)))
+    if count < 2 * _TEST.blocks:
+        return None
+    edges = np.linspace(start, end, count + 1)
+    block = np.arange(count) * _TEST.blocks // count
+    lost = np.diff(np.interp(edges, t, integral(t, np.where(known, 0.0, 1.0))))
+    whole = lost < 0.5 * (edges[1] - edges[0])
+
+    def over(rate: FloatArray) -> FloatArray:
+        gone = np.interp(edges, t, integral(t, np.where(known, rate, 0.0)))
+        return np.asarray(np.diff(gone)[whole])
+
+    moved = np.concatenate([np.diff(np.interp(edges, *one))[whole] for one in (east, north)])
+    twice = np.tile(block[whole], 2)
+    fits = []
+    for speed in (left.values + other, left.values - other):  # a motor may sit in the mirror
+        along, across = over(speed * np.cos(angle)), over(speed * np.sin(angle))
+        ways = np.concatenate([along, across]), np.concatenate([across, along])
+        fits.append(_fit(np.stack(ways, axis=1), moved, twice))
+    best = min(fits, key=lambda one: one.rest)
+    by_pose = best.apart(np.array([-1.0, 1.0]) * np.sign(best.values))
+    if abs(by_pose) > _TEST.chance:
+        return by_pose > 0.0
+    rotation = np.diff(np.interp(edges, *yaw))[whole]
+    treads = _fit(over(other - left.values)[:, None], rotation, block[whole])
+    by_turning = treads.apart(np.ones(1))
+    return by_turning < 0.0 if abs(by_turning) > _TEST.chance else None
+
+
+class _LeastSquares(NamedTuple):
+    values: FloatArray  # (k,): factors of the columns
+    covariance: FloatArray  # (k, k): theirs, of blocks that are independent
+    rest: float  # sum of the squares that are left
+
+    def apart(self, weights: FloatArray) -> float:
+        """Return how far a sum of the factors is from 0, in its standard errors."""
+        error = float(np.sqrt(max(float(weights @ self.covariance @ weights), 0.0)))
+        value = float(weights @ self.values)
+        return value / error if error > 0.0 else 0.0
+
+
+def _fit(columns: FloatArray, y: FloatArray, block: NDArray[np.intp]) -> _LeastSquares:
+    """Fit columns to readings by least squares; whole blocks of readings may share an error."""
+    size = columns.shape[1]
+    gram = columns.T @ columns
+    if not np.all(np.diag(gram) > 0.0) or np.linalg.cond(gram) > 1e10:
+        return _LeastSquares(np.zeros(size), np.zeros((size, size)), float(y @ y))
+    inverse = np.linalg.inv(gram)
+    values = inverse @ (columns.T @ y)
+    rest = y - columns @ values
+    scores = np.stack([
+        np.bincount(block, column * rest, _TEST.blocks) for column in columns.T
+    ])  # fmt: skip
+    covariance = inverse @ (scores @ scores.T) @ inverse * _TEST.blocks / (_TEST.blocks - 1)
+    # Readings without any noise are exact to rounding.
+    floor = (1e-12 * float(y @ y) / len(y)) * inverse
+    return _LeastSquares(values, covariance + floor, float(rest @ rest))

@@ -172,19 +172,19 @@ def _name_unused(file: Path, features: Sequence[Mapping[str, Any]], used: Collec
     warn_of_unused(str(file), unused(given, used, DRAWN))
 
 
-class Line(NamedTuple):
+class LineFeature(NamedTuple):
     """A line of a file of shapes."""
 
     points: list[list[float]]  # x, y [m]
     properties: dict[str, Any]
 
 
-def read_lines(path: str | Path) -> list[Line]:
+def read_lines(path: str | Path) -> list[LineFeature]:
     """Return the lines of a GeoJSON FeatureCollection; the parts of a MultiLineString one by one.
 
     Each is a LineString or MultiLineString in the map's frame [m].
     """
-    file, found = Path(path), list[Line]()
+    file, found = Path(path), list[LineFeature]()
     _, features = read_features(file)
     shapes = [_shape(one["geometry"], f"{file}: feature {k}", LINES)
               for k, one in enumerate(features)]  # fmt: skip
@@ -194,7 +194,7 @@ def read_lines(path: str | Path) -> list[Line]:
     for shape, feature in zip(shapes, features, strict=True):
         for part in shapely.get_parts(shape):
             points = shapely.get_coordinates(part).tolist()
-            found.append(Line(points, feature["properties"]))
+            found.append(LineFeature(points, feature["properties"]))
     return found
 
 

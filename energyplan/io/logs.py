@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import isfinite, nan
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -123,7 +124,7 @@ def read_drives(
     if bags and chosen is None:
         raise InvalidInputError(
             f"{bags[0]}: the topics and the wheel radius are not known: give --topics, or "
-            f"a project that energyplan start {bags[0]} --out PROJECT.yaml makes"
+            f"a project that energyplan start {quote(str(bags[0]))} --out PROJECT.yaml makes"
         )
     return [
         read_log(path, columns, topics=chosen, progress=progress, table=None if k else first)

@@ -12,6 +12,7 @@ from contextvars import ContextVar
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -233,8 +234,8 @@ def _header_of_image(file: Path, resolution: float | None) -> _MapHeader:
             f"{file} is an image without its resolution; give {beside[0]}, which names it"
             if beside
             else f"{file} is an image without its resolution; give the size of a pixel in m, as in "
-            f"--resolution 0.05, or write its YAML: energyplan start {file} --resolution 0.05 "
-            f"--out {file.with_suffix('.yaml').name}"
+            f"--resolution 0.05, or write its YAML: energyplan start {quote(str(file))} "
+            f"--resolution 0.05 --out {quote(file.with_suffix('.yaml').name)}"
         )
     if not (math.isfinite(resolution) and resolution > 0):
         raise MapError(f"the resolution of {file} is {resolution:g} m; give a positive size")

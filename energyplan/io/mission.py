@@ -114,11 +114,11 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
         document = replace(document, data={**document.data, "tasks": order.tasks})
         return _as_ordered(_build(document, folder, anywhere), order)
     if isinstance(tasks, list):
-        read = [
+        with_paths = [
             _with_path(task, partial(at, ("tasks", k, "path"), _points, file))
             for k, task in enumerate(tasks)
         ]
-        document = replace(document, data={**document.data, "tasks": read})
+        document = replace(document, data={**document.data, "tasks": with_paths})
     if "robots" in document.data:
         return _of_robots(document, folder, anywhere)
 
@@ -128,13 +128,7 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
     def part(key: str, name: str, read: Callable[[Path], T]) -> T:
         return at((key,), read, at((key,), file, name))
 
-    optional = ("vehicle", *PARTS)
-    given = {k: v for k, v in document.data.items() if k != "places"}
-    data = {k: v for k, v in given.items() if v is not None or k not in optional}
-    for key, value in data.items():
-        if key in ("map", "model", *optional) and not isinstance(value, str):
-            message = f"{described(value)} is no name of a file or preset; give one"
-            raise document.fail((key,), message + document.another_kind(Mission))
+    data = _checked_names(document)
     places = document.check(dict[str, NamedPlace], ("places",)) if "places" in document.data else {}
     site, notes, known = None, tuple[str, ...](), set[str]()
     if "map" in data:
@@ -153,21 +147,43 @@ def _build(document: Document, folder: Path, anywhere: bool) -> Mission:
         known |= {model.name}
     if isinstance(data.get("battery"), str) and _is_yaml(data["battery"]):
         data["battery"] = at(("battery",), lambda name: read_battery(file(name)), data["battery"])
-    heavy: dict[str, dict[float, PowerModel]] = {}
     if "payload_models" in data:
-        for name, models in document.check(_MODELS, ("payload_models",)).items():
-            loc = "payload_models", name
-            heavy[name] = {
-                mass: on_site(at(loc, read_named, one), site).model for mass, one in models.items()
+        loaded = _payload_models(document, known if "map" in data else None)
+        data["payload_models"] = {
+            name: {
+                mass: on_site(at(("payload_models", name), read_named, one), site).model
+                for mass, one in models.items()
             }
-            if "map" in data and name not in known:
-                raise document.fail(
-                    loc, f"the mission has no such model; it has {', '.join(sorted(known))}"
-                )
-    data = {"name": Path(document.source).stem, **data, "payload_models": heavy}
+            for name, models in loaded.items()
+        }
+    data = {"name": Path(document.source).stem, **data}
     return replace(document, data=data).check(
         Mission, context={"places": places, "where": document.where, "notes": notes}
     )
+
+
+def _checked_names(document: Document) -> dict[str, Any]:
+    """Return what a file says but its places; models and maps are named by text."""
+    optional = ("vehicle", *PARTS)
+    given = {k: v for k, v in document.data.items() if k != "places"}
+    data = {k: v for k, v in given.items() if v is not None or k not in optional}
+    for key, value in data.items():
+        if key in ("map", "model", *optional) and not isinstance(value, str):
+            message = f"{described(value)} is no name of a file or preset; give one"
+            raise document.fail((key,), message + document.another_kind(Mission))
+    return data
+
+
+def _payload_models(document: Document, known: set[str] | None) -> _MODELS:
+    """Return the names of the models of a robot with payload, by that of the one without."""
+    loaded = document.check(_MODELS, ("payload_models",))
+    for name in loaded:
+        if known is not None and name not in known:
+            raise document.fail(
+                ("payload_models", name),
+                f"the mission has no such model; it has {', '.join(sorted(known))}",
+            )
+    return loaded
 
 
 def _with_path(task: Any, read: Callable[[str], Any]) -> Any:

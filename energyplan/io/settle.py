@@ -55,8 +55,33 @@ from energyplan.path import FloatArray
 from energyplan.units import RATES
 from energyplan.vehicle import GRAVITY
 
-_ALIKE = 0.9  # correlation from which two columns carry the same quantity
-_ONE_SIDE = 0.7  # correlation through the origin of the speeds of one side's wheels, at least
+
+class Plausible(NamedTuple):
+    """What is plausible of a robot and of its columns."""
+
+    alike: float = 0.9  # correlation from which two columns carry the same quantity
+    # correlation through the origin of the speeds of one side's wheels, at least
+    one_side: float = 0.7
+    part: float = 0.05  # of a power, that another one of its kind is at least
+    whole: float = 0.9  # of a part, that the whole is at least
+    one_voltage: float = 0.02  # by how much voltages of one circuit differ, as a share
+    close: float = 0.005  # time between rows of no log of a drive, in seconds, at most [s]
+    fastest_turn: float = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
+    highest_voltage: float = 1000.0  # of a battery [V]
+    force: tuple[float, float] = (0.02, 2.0)  # power over weight times speed that does not surprise
+    smallest_radius: float = 2e-4  # of a wheel over its gear ratio [m]
+    largest_radius: float = 0.8  # of a wheel [m]
+    radius: float = 0.15  # radius of wheels of which it is not known yet [m]
+    # change of speed in a row, as a share of the largest, that shows no unit
+    jump: tuple[float, float] = (0.08, 0.25)
+    sure: float = 0.1  # relative error of a distance up to which its unit is sure
+    near: float = 1.35  # ratio of two units up to which turning does not distinguish them
+    speed: tuple[float, float] = (0.1, 5.0)  # largest speed of a robot that does not surprise [m/s]
+    # power over weight times speed, ten times less to ten times more of which does
+    middle_force: float = 0.2
+
+
+_PLAUSIBLE = Plausible()
 
 
 def _left_out(recording: Recording, columns: Mapping[str, Column]) -> list[Check]:
@@ -69,7 +94,8 @@ def _left_out(recording: Recording, columns: Mapping[str, Column]) -> list[Check
         own = np.nanmean(np.abs(recording.column(one.field)))
         rest = [
             name for name in siblings(one, recording.columns)
-            if name not in used and np.nanmean(np.abs(recording.columns[name])) > _PART * own
+            if name not in used
+            and np.nanmean(np.abs(recording.columns[name])) > _PLAUSIBLE.part * own
         ]  # fmt: skip
         if rest:
             summed = "+".join((one.field, *one.plus, *rest))
@@ -138,7 +164,7 @@ def _rival(recording: Recording, own: Column, name: str) -> Rival | None:
         return None
     one = one * (1.0 + len(own.plus))  # of a sum, the others are about as large
     sizes = float(np.mean(np.abs(one))), float(np.mean(np.abs(other)))
-    if sizes[1] <= _PART * sizes[0]:
+    if sizes[1] <= _PLAUSIBLE.part * sizes[0]:
         return None
     varies = min(float(np.ptp(one)), float(np.ptp(other))) > 0.0
     return Rival(own, name, sizes, float(np.corrcoef(one, other)[0, 1]) if varies else 0.0)
@@ -149,9 +175,9 @@ def _decided(rival: Rival) -> bool:
     own, other = rank(rival.own.field, rival.own.channel), rank(rival.name)
     if feeds(rival.name):  # then the battery's is not all that is drawn
         return False
-    smaller = rival.sizes[0] < _WHOLE * rival.sizes[1]  # as no whole is than its part
+    smaller = rival.sizes[0] < _PLAUSIBLE.whole * rival.sizes[1]  # as no whole is than its part
     if same_reading(rival.own.field, rival.name):
-        return rival.alike > _ALIKE and not smaller
+        return rival.alike > _PLAUSIBLE.alike and not smaller
     if own > other or plainer(rival.own.field, rival.name):
         return not smaller or of_motor(rival.name)
     return False
@@ -164,13 +190,8 @@ def _one_circuit(rival: Rival) -> bool:
         return True
     if own > other or plainer(rival.own.field, rival.name):
         return True
-    alike = abs(rival.sizes[0] - rival.sizes[1]) <= _ONE_VOLTAGE * max(rival.sizes)
+    alike = abs(rival.sizes[0] - rival.sizes[1]) <= _PLAUSIBLE.one_voltage * max(rival.sizes)
     return alike and not halves(rival.own.field, [rival.name])
-
-
-_PART = 0.05  # of a power, that another one of its kind is at least
-_WHOLE = 0.9  # of a part, that the whole is at least
-_ONE_VOLTAGE = 0.02  # by how much voltages of one circuit differ, as a share
 
 
 def _ask_for_the_whole(
@@ -279,8 +300,8 @@ def _refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
             if not np.any(first) and not np.any(second):
                 continue
             alike = correlation(first, second)
-            if alike < _ONE_SIDE:
-                way = "go opposite ways" if alike < -_ONE_SIDE else "do not go alike"
+            if alike < _PLAUSIBLE.one_side:
+                way = "go opposite ways" if alike < -_PLAUSIBLE.one_side else "do not go alike"
                 raise DriveLogError(
                     f"{recording.source}: {one.field} and {name} seem to be speeds of the same "
                     f"side, and {way} (correlation {alike:.2f}): one is dead or counts the other "
@@ -289,16 +310,10 @@ def _refuse_unlike(recording: Recording, found: Mapping[str, Column]) -> None:
                 )
 
 
-_CLOSE = 0.005  # time between them below which they do not [s]
-_FASTEST_TURN = 3.0  # yaw rate that hardly a robot reaches that skids [rad/s]
 _TURNS = 3 * FULL_TURN  # beyond, they are rather degrees
 _VOLTS = {"mV": (4.5, 450.0), "*0.01": (4.5, 100.0), "*0.1": (4.5, 100.0)}  # typical ranges [V]
-_HIGHEST_VOLTAGE = 1000.0  # of a battery [V]
-_USUAL_FORCE = (0.02, 2.0)  # power over weight times speed that does not surprise
 _NEEDED = {"t", "v_left", "v_right", "p_left", "p_right", "power", "voltage", "current"}
 _ROLLING = {**RATES, **COUNTS}  # units of wheels, that take a radius
-_SMALLEST_RADIUS, _LARGEST_RADIUS = 2e-4, 0.8  # of a wheel, or of one over its gear ratio [m]
-_RADIUS = 0.15  # radius of wheels of which it is not known yet [m]
 
 
 class _Choice(NamedTuple):
@@ -324,11 +339,11 @@ def _choices(
         result.append(_Choice(SPEEDS, (f"{rates[0]}*",)))
     elif {*SPEEDS} <= free:
         result.append(_Choice(SPEEDS, ("m/s", *wheels, "km/h", "mm/s", "cm/s")))
-    if size.get("yaw_rate", 0.0) > _FASTEST_TURN:
+    if size.get("yaw_rate", 0.0) > _PLAUSIBLE.fastest_turn:
         result.append(_Choice(("yaw_rate",), ("rad/s", "deg/s")))
     if size.get("yaw", 0.0) > FULL_TURN:  # else these are no degrees
         result.append(_Choice(("yaw",), ("deg", "rad") if size["yaw"] > _TURNS else ("rad", "deg")))
-    if size.get("voltage", 0.0) > _HIGHEST_VOLTAGE:
+    if size.get("voltage", 0.0) > _PLAUSIBLE.highest_voltage:
         result.append(_Choice(("voltage",), (_unit_of_voltage(recording, columns["voltage"]),)))
     # A thousand is more than robots' resistances differ by: their weight shows which it is.
     watts = ("W", "mW", "kW")
@@ -368,7 +383,7 @@ def _with_units(
         unit = _unit_of_time(recording, columns)
         columns = {**columns, "t": columns["t"].changed(unit=unit)}
     t = recording.clock(name) if recording.times else recording.series(columns["t"]).values
-    if t is not None and np.median(np.diff(t)) < _CLOSE:
+    if t is not None and np.median(np.diff(t)) < _PLAUSIBLE.close:
         recording = whole.head(name, 4 * SOME)
     choices = _choices(recording, columns, found, known)
     raw = _readings(recording, columns)
@@ -398,7 +413,7 @@ def _with_units(
         units = next((one.units for one in choices if "v_left" in one.channels), ())
         _sure_of_speeds(recording, columns, units, chosen, agreed, known)
     if any(unit.endswith("*") for unit in chosen.values()) and not isfinite(radius):
-        radius = nan if agreed is None else _radius_of(agreed.distance / _RADIUS)
+        radius = nan if agreed is None else _radius_of(agreed.distance / _PLAUSIBLE.radius)
         if not isfinite(radius):
             raise InvalidInputError(f"{recording.source}: {_no_radius(raw)}")
         assumed["wheel_radius"] = f"{radius:.4g} m, from the pose"
@@ -422,13 +437,10 @@ def _unit_of_time(recording: Recording, columns: Mapping[str, Column]) -> str:
         steps, size = (np.quantile(np.abs(part), 0.99) for part in (np.diff(lasting), lasting))
         jumps.append(float(steps / max(size, 1e-300)))
     jump = max(jumps)
-    if _JUMP[0] < jump < _JUMP[1]:
+    if _PLAUSIBLE.jump[0] < jump < _PLAUSIBLE.jump[1]:
         why = "could count seconds or milliseconds: the speeds change too little to tell"
         _ask_unit(recording, columns["t"], why, ("s", "ms"))
-    return "s" if jump >= _JUMP[1] else units[-1]
-
-
-_JUMP = (0.08, 0.25)  # change of speed in a row, as a share of the largest, that shows no unit
+    return "s" if jump >= _PLAUSIBLE.jump[1] else units[-1]
 
 
 def _ask_unit(recording: Recording, column: Column, why: str, units: Iterable[str]) -> NoReturn:
@@ -455,11 +467,6 @@ def _unit_of_voltage(recording: Recording, column: Column) -> str:
     return "mV"
 
 
-_SURE = 0.1  # relative error of a distance up to which its unit is sure
-_NEAR = 1.35  # ratio of two units up to which turning does not distinguish them
-
-
-_USUAL_SPEED = (0.1, 5.0)  # largest speed of a robot that does not surprise [m/s]
 _TURN_UNITS = ("rad/s", "deg/s", "rpm", "mrad/s", "cdeg/s", "mdps")
 _OF_RATES = {"motor", "motors", "omega", "rotor", "rotation", "angvel"}
 """Words of what may be a rate in radians or turns as well as a speed."""
@@ -470,21 +477,21 @@ def _sure_of_speeds(
     chosen: Mapping[str, str], drive: Observed, known: Given,
 ) -> None:  # fmt: skip
     """Ask for a unit of speeds where another one is as likely, by pose and turning, if they are."""
-    way = abs(np.log(drive.distance)) if isfinite(drive.distance) else np.log(_NEAR)
-    if len(units) < 2 or way < _SURE:
+    way = abs(np.log(drive.distance)) if isfinite(drive.distance) else np.log(_PLAUSIBLE.near)
+    if len(units) < 2 or way < _PLAUSIBLE.sure:
         return
     size = {unit: _factor("v_left", unit, known) / _factor("v_left", chosen["v_left"], known)
             for unit in units}  # fmt: skip
     gone = drive.distance if isfinite(drive.distance) else 1.0
-    near = [u for u in units if abs(np.log(gone * size[u])) < np.log(_NEAR)]
+    near = [u for u in units if abs(np.log(gone * size[u])) < np.log(_PLAUSIBLE.near)]
     unseen = False
     if chosen.get("yaw_rate") and not isfinite(drive.distance):  # both may be in another unit
         own = scale_of("yaw_rate", chosen["yaw_rate"]).factor
         turns = [scale_of("yaw_rate", unit).factor / own for unit in _TURN_UNITS]
         near += [
             u for u in units if u not in near
-            and any(abs(np.log(size[u] / turn)) < np.log(_NEAR) for turn in turns)
-            and _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
+            and any(abs(np.log(size[u] / turn)) < np.log(_PLAUSIBLE.near) for turn in turns)
+            and _PLAUSIBLE.speed[0] <= drive.top_speed * size[u] <= _PLAUSIBLE.speed[1]
         ]  # fmt: skip
     measures = known_measures(known)
     if not isfinite(drive.distance) and not (
@@ -498,8 +505,9 @@ def _sure_of_speeds(
         weight = measures.mass * GRAVITY
         near = [
             u for u in units
-            if _USUAL_SPEED[0] <= drive.top_speed * size[u] <= _USUAL_SPEED[1]
-            and not abs(np.log(drive.force / weight / size[u] / _MIDDLE_FORCE)) > np.log(10.0)
+            if _PLAUSIBLE.speed[0] <= drive.top_speed * size[u] <= _PLAUSIBLE.speed[1]
+            and not abs(np.log(drive.force / weight / size[u] / _PLAUSIBLE.middle_force))
+            > np.log(10.0)
         ]  # fmt: skip
         if chosen["v_left"] != "m/s":  # that others would surprise more is no proof
             near = [*dict.fromkeys((chosen["v_left"], *near))]
@@ -517,9 +525,6 @@ def _sure_of_speeds(
         )
 
 
-_MIDDLE_FORCE = 0.2  # power over weight times speed, ten times less to ten times more of which does
-
-
 def _sure_of_current(
     recording: Recording, columns: Mapping[str, Column], chosen: Mapping[str, str], force: float
 ) -> None:
@@ -530,7 +535,7 @@ def _sure_of_current(
             continue
         readings = recording.series(columns[channel]).values
         sizes = {"*0.1": 100.0 * force, "*0.01": 10.0 * force}
-        usual = any(_USUAL_FORCE[0] <= size <= _USUAL_FORCE[1] for size in sizes.values())
+        usual = any(_PLAUSIBLE.force[0] <= size <= _PLAUSIBLE.force[1] for size in sizes.values())
         if usual and not np.any(np.mod(readings[np.isfinite(readings)], 1.0)):
             why = "comes in whole numbers, whose unit their size does not tell for sure"
             _ask_unit(recording, columns[channel], why, (*sizes, unit))
@@ -552,14 +557,18 @@ def _factor(channel: str, unit: str, known: Given) -> float:
     if not unit:
         return 1.0
     if unit.endswith("*"):
-        radius = known.wheel_radius if isfinite(known.wheel_radius) else _RADIUS
+        radius = known.wheel_radius if isfinite(known.wheel_radius) else _PLAUSIBLE.radius
         return _ROLLING[unit[:-1]] * radius
     return scale_of(channel, unit).factor
 
 
 def _radius_of(angle: float) -> float:
     """Return the radius at which wheels, or motors before their gear, roll so far in a metre."""
-    return 1.0 / angle if 1.0 / _LARGEST_RADIUS <= angle <= 1.0 / _SMALLEST_RADIUS else nan
+    return (
+        1.0 / angle
+        if 1.0 / _PLAUSIBLE.largest_radius <= angle <= 1.0 / _PLAUSIBLE.smallest_radius
+        else nan
+    )
 
 
 def _no_radius(channels: Collection[str]) -> str:
@@ -684,7 +693,7 @@ def _one_speed(recording: Recording, one: Column) -> bool:
     for name in one.plus:
         first, second = recording.together(one.field, name)
         size = float(np.linalg.norm(second)) / max(float(np.linalg.norm(first)), 1e-300)
-        if correlation(first, second) < _ONE_SIDE or not 0.6 < size < 1.6:
+        if correlation(first, second) < _PLAUSIBLE.one_side or not 0.6 < size < 1.6:
             return False
     return True
 

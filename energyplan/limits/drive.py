@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from energyplan.battery import BatteryModel, BatteryRun
 from energyplan.errors import InvalidInputError
 from energyplan.limits.motor_kernels import cut_intervals, piece_nodes
 from energyplan.motion import Motion
@@ -353,3 +354,10 @@ class Traversal:
             for name, power in models[part.region].breakdown(part.motion).items():
                 total[name] = total.get(name, 0.0) + float((part.weight * power).sum())
         return total
+
+
+def drawn(
+    battery: BatteryModel, t: FloatArray, energies: FloatArray, soc: float = 1.0
+) -> BatteryRun:
+    """Run a battery through intervals between times [s] that take so much energy each [J]."""
+    return battery.simulate(t, np.append(energies / np.diff(t), 0.0), soc=soc)

@@ -66,6 +66,7 @@ class Reassessed:
     pose: Pose  # where the robot is
     soc: float  # state of charge
     done: tuple[str, ...]  # tasks that are done
+    driven: Mapping[str, float]  # of tasks whose paths are driven in part, how far [m]
     report: MissionReport | None  # the rest of the mission
 
 

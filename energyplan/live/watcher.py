@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,23 +32,31 @@ from energyplan.logs.consistency import contradictions
 from energyplan.logs.mapping import Column
 from energyplan.mission import Mission, Routes, evaluate
 from energyplan.motion import Motion
-from energyplan.path import FloatArray, Pose, wrap_angle
+from energyplan.path import PLACE, FloatArray, Path, Pose, wrap_angle
 from energyplan.power import PowerModel
 from energyplan.records import checked
 from energyplan.vehicle import Vehicle
 
-_FIRST = 20  # samples from which the time between samples is estimated
 
-_RESTART = 10  # samples in a row, older than one before them, that show that the clock was set
+class WatchLimits(NamedTuple):
+    """How a drive is watched."""
+
+    first: int = 20  # samples from which the time between samples is estimated
+    # samples in a row, older than one before them, that show that the clock was set
+    restart: int = 10
+    checked: float = 60.0  # time driven after which what was read so far is checked as a log is [s]
+    still: float = 0.02  # speed of the treads below which a robot stands [m/s]
+    # distance of places on a path among which the robot's is found [m], and turn [rad]
+    fine: float = 0.05
+    # poses of a path, as far apart as is near, that a drive may pass between samples
+    ahead: int = 10
+    facing: float = 0.6  # largest difference of heading at which a robot is at a task's pose [rad]
+
+
+_WATCH = WatchLimits()
+
 
 _BACKWARD = "time does not go forward; set aside"
-
-_CHECKED = 60.0  # time driven after which what was read so far is checked as a log is [s]
-
-_STILL = 0.02  # speed of the treads below which a robot stands [m/s]
-
-_AHEAD = 10  # poses of a path, as far apart as is near, that a drive may pass between samples
-_FACING = 0.6  # largest difference of heading at which a robot is at a task's pose [rad]
 
 
 @dataclass(frozen=True)
@@ -203,6 +211,14 @@ def _power(model: PowerModel, samples: Sequence[Sample]) -> FloatArray:
     return np.asarray(model.power(motion))
 
 
+class _RestOfPath(NamedTuple):
+    """What is left of a path."""
+
+    poses: FloatArray  # (n, 3): along it, from where the robot is
+    driven: float  # how far it is driven [m]
+    on_it: bool  # whether the robot is on it
+
+
 class _Watch:
     def __init__(
         self, prior: PowerModel | Vehicle | None, mission: Mission | None, settings: Settings,
@@ -224,13 +240,15 @@ class _Watch:
         self._back: list[Sample] = []
         self._told_at = self._looked_at = -inf
         self._stood: dict[str, float] = {}
-        self._rows: dict[tuple[str, int], FloatArray] = {}  # poses along paths, in each direction
+        self._paths: dict[tuple[str, int], Path] = {}  # of tasks, in each direction
+        self._rows: dict[tuple[str, int], FloatArray] = {}  # poses along them
         self._passed: Counter[tuple[str, int]] = Counter()  # how many of them were passed
         if mission is not None:
             for task in mission.tasks:
                 for k, one in enumerate(task.options if task.path else ()):
                     path = one.path(mission.vehicle.icr.longitudinal)
-                    self._rows[task.name, k] = path.poses(settings.near, _FACING)
+                    self._paths[task.name, k] = path
+                    self._rows[task.name, k] = path.poses(settings.near, _WATCH.facing)
         self._polarisation = 0.0
         self._soc = settings.soc
         if mission is not None and self._soc is None:
@@ -260,11 +278,11 @@ class _Watch:
                 yield from self._trouble(item)
             elif self._period:
                 yield from self._timed(item)
-                if self._clock >= _CHECKED and self._samples == len(self._unchecked):
+                if self._clock >= _WATCH.checked and self._samples == len(self._unchecked):
                     yield from self._doubts(name)
             else:
                 first.append(item)
-                if len(first) == _FIRST:
+                if len(first) == _WATCH.first:
                     yield from self._release(first)
         yield from self._release(first)
         if self._samples == len(self._unchecked):
@@ -297,7 +315,7 @@ class _Watch:
         known = self._prior if self._mission is None else self._mission.model
         latest = np.maximum.accumulate([-inf, *(one.t for one in seen)])
         seen = [one for one, before in zip(seen, latest, strict=False) if one.t > before]
-        if len(seen) < _FIRST or known is None:
+        if len(seen) < _WATCH.first or known is None:
             return
         shared = set.intersection(*(set(one.channels) for one in seen))
         rows = [{"t": one.t, "v_left": one.v_left, "v_right": one.v_right, "power": one.power,
@@ -338,7 +356,7 @@ class _Watch:
         elif step <= 0:
             rising = not self._back or sample.t > self._back[-1].t
             self._back = [*self._back, sample] if rising else [sample]
-            if len(self._back) < _RESTART:
+            if len(self._back) < _WATCH.restart:
                 yield from self._trouble(Trouble(sample.place, _BACKWARD))
                 return
             again, self._back = self._back, []
@@ -471,7 +489,7 @@ class _Watch:
         """
         if self._mission is None or self._pose is None:
             return
-        standing = max(abs(sample.v_left), abs(sample.v_right)) <= _STILL
+        standing = max(abs(sample.v_left), abs(sample.v_right)) <= _WATCH.still
         for task in self._mission.tasks:
             if task.name in self._known:
                 continue
@@ -490,15 +508,40 @@ class _Watch:
         assert self._pose is not None
         away = hypot(pose[0] - self._pose.x, pose[1] - self._pose.y)
         rotation = abs(float(wrap_angle(pose[2] - self._pose.yaw)))
-        return away <= self._settings.near and rotation <= _FACING
+        return away <= self._settings.near and rotation <= _WATCH.facing
 
     def _drove(self, row: tuple[str, int]) -> bool:
         """Follow the robot along a path in one direction; return whether it is at its end."""
         poses, passed = self._rows[row], self._passed[row]
-        for k in range(passed, min(passed + _AHEAD, len(poses))):
+        for k in range(passed, min(passed + _WATCH.ahead, len(poses))):
             if self._at(poses[k]):
                 self._passed[row] = k + 1
         return self._passed[row] == len(poses)
+
+    def _begun(self) -> dict[str, _RestOfPath]:
+        """Return what is left of the paths that are driven in part, by task."""
+        found: dict[str, _RestOfPath] = {}
+        for row in sorted(self._rows, key=lambda row: self._passed[row]):
+            passed = self._passed[row]
+            if row[0] not in self._known and 1 < passed < len(self._rows[row]):
+                found[row[0]] = self._rest(self._paths[row], self._rows[row][passed - 1])
+        return found
+
+    def _rest(self, path: Path, last: FloatArray) -> _RestOfPath:
+        """Return what is left of a path from where the robot is on it, or from the last pose."""
+        assert self._pose is not None
+        fine = path.subdivide(_WATCH.fine, _WATCH.fine)
+        poses = fine.vertices
+        along, ends = (
+            np.append(0.0, np.cumsum(np.abs(one.ds) + np.abs(one.dtheta))) for one in (fine, path)
+        )
+        at = int(np.argmin(np.abs(poses - last).sum(axis=1)))
+        away = np.hypot(poses[:, 0] - self._pose.x, poses[:, 1] - self._pose.y)
+        away[np.abs(along - along[at]) > 2 * self._settings.near] = inf
+        on_it = bool(away.min() <= self._settings.near)
+        at = int(away.argmin()) if on_it else at
+        ahead = path.vertices[ends > along[at] + PLACE]
+        return _RestOfPath(np.vstack([poses[at], ahead]), float(np.abs(fine.ds[:at]).sum()), on_it)
 
     def _charge(self) -> float:
         """Return the state of charge now, by the energy that was drawn since it was last known."""
@@ -532,11 +575,19 @@ class _Watch:
         soc = self._charge()
         done = tuple(task.name for task in mission.tasks if task.name in self._known)
         if len(done) == len(mission.tasks):
-            yield Reassessed(self._last, pose, soc, done, None)
+            yield Reassessed(self._last, pose, soc, done, {}, None)
             return
+        begun = {name: one for name, one in self._begun().items() if len(one.poses) > 1}
+        # one that follows a path, a little beside it, goes on along it
+        now = next((one.poses[0] for one in begun.values() if one.on_it), pose)
         try:
-            rest = self._corrected(mission).resume(pose, soc, done, time=mission.time + self._clock)
-            yield Reassessed(self._last, pose, soc, done, evaluate(rest, routes=self._routes))
+            rest = self._corrected(mission).resume(
+                now, soc, done, time=mission.time + self._clock,
+                rows={name: one.poses for name, one in begun.items()},
+            )  # fmt: skip
+            driven = {name: one.driven for name, one in begun.items()}
+            report = evaluate(rest, routes=self._routes)
+            yield Reassessed(self._last, pose, soc, done, driven, report)
         except EnergyPlanError as problem:
             yield Trouble(f"at {self._last:g} s", f"the mission cannot be looked at: {problem}")
 

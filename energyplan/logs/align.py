@@ -175,7 +175,14 @@ def block_bounds(t: FloatArray, runs: Sequence[slice], duration: float) -> list[
     return [*bounds[: max(1, len(bounds) - 1)], len(t)]
 
 
-_BLOCK = 1 << 13  # samples worked on at once, to stay in the cache
+class DerivativeSizes(NamedTuple):
+    """How a derivative is computed quickly."""
+
+    block: int = 1 << 13  # samples worked on at once, to stay in the cache
+    wide: int = 129  # samples of a window from which running sums are quicker
+
+
+_SIZES = DerivativeSizes()
 
 
 def derivative(
@@ -207,8 +214,8 @@ def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
     """Rate at each sample from the `width` samples (an odd number) around it."""
     count, half = len(time), width // 2
     rate = np.empty(count)
-    wide = width > _WIDE
-    block = max(width, 1 << 10) if wide else _BLOCK
+    wide = width > _SIZES.wide
+    block = max(width, 1 << 10) if wide else _SIZES.block
     for start in range(0, count, block):
         index = np.arange(start, min(start + block, count))
         first = np.clip(index - half, 0, count - width)
@@ -239,9 +246,6 @@ def _local_rate(time: FloatArray, value: FloatArray, width: int) -> FloatArray:
     return rate
 
 
-_WIDE = 129  # samples of a window from which running sums are quicker
-
-
 def _running_sums(
     u: FloatArray, y: FloatArray, first: NDArray[np.intp], width: int, at: NDArray[np.intp]
 ) -> list[FloatArray]:
@@ -260,8 +264,17 @@ def _running_sums(
 
 LARGEST_OFFSET = 2.0
 """Longest time offset between channels that is looked for [s]."""
-_TELLS = 1e-4  # share of the variance that a shift explains beyond the log as it is, at least
-_SHORTEST = 0.1  # shares of a time step that a delay is, at least
+
+
+class OffsetLimits(NamedTuple):
+    """From which on an offset is shown."""
+
+    # share of the variance that a shift explains beyond the log as it is, at least
+    explains: float = 1e-4
+    shortest: float = 0.1  # shares of a time step that a delay is, at least
+
+
+_OFFSET = OffsetLimits()
 
 
 @dataclass(frozen=True)
@@ -282,8 +295,8 @@ class Offset:
         return (
             self.duration >= 30.0
             and self.explained > 0.3
-            and self.explained - self.before >= _TELLS
-            and abs(self.seconds) >= max(0.005, _SHORTEST * self.step)
+            and self.explained - self.before >= _OFFSET.explains
+            and abs(self.seconds) >= max(0.005, _OFFSET.shortest * self.step)
             and 1 - self.before > 1.15 * (1 - self.explained)
         )
 

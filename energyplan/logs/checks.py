@@ -26,19 +26,26 @@ from energyplan.logs.consistency import (
     lasts,
     regress,
 )
-from energyplan.logs.faults import ceiling, charged, zeros_between
 from energyplan.logs.mapping import LONGEST_STEP, ROW, SHORTEST_STEP, UNITS, dated
 from energyplan.path import FloatArray
 
 if TYPE_CHECKING:  # which imports this module
     from energyplan.logs import DriveLog
 
-_ENOUGH = 20  # samples below which nothing is concluded
-_TURNING = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
-_MOVING = 0.03  # tread speed from which it surely moves [m/s]
-_APART = 7.5  # time beyond which energies by the readings are chance [s]
-_SPARSE = 1.5  # time from row to row beyond which most of a drive lies between them [s]
-_PAUSE, _BURSTS = 10.0, 0.05  # median steps, and share of the rows, that show rows in bursts
+
+class CheckLimits(NamedTuple):
+    """From which on a drive shows something."""
+
+    enough: int = 20  # samples below which nothing is concluded
+    turning: float = 0.05  # difference of the tread speeds from which the robot surely turns [m/s]
+    moving: float = 0.03  # tread speed from which it surely moves [m/s]
+    by_readings: float = 7.5  # time beyond which energies by the readings are chance [s]
+    sparse: float = 1.5  # time from row to row beyond which most of a drive lies between them [s]
+    pause: float = 10.0  # median steps without a row that show rows in bursts
+    bursts: float = 0.05  # share of the rows that follow such a pause
+
+
+_LIMITS = CheckLimits()
 _EACH_SIDE = (("left", "right"), ("right", "left"))
 _BY_SPEED = "p_left=CURRENT*SPEED[*V_S_PER_M]"  # how a motor's current makes a power
 _Found = Iterable[Check]
@@ -91,11 +98,11 @@ def _time(drive: Observed) -> _Found:
             f"log every second or more often, at least every {LONGEST_STEP:g} s", "reading",
         )  # fmt: skip
         return
-    if step > _SPARSE:
+    if step > _LIMITS.sparse:
         yield Check(
             f"rows are {step:g} s apart: what the robot does between them is not seen",
             "log more often, as ten times a second",
-            "trust" if step > _APART else "",
+            "trust" if step > _LIMITS.by_readings else "",
         )
     if not SHORTEST_STEP <= step <= LONGEST_STEP:
         sizes = {name: size for name, size in UNITS["t"].items() if name != "s"}
@@ -105,11 +112,11 @@ def _time(drive: Observed) -> _Found:
             f"{LONGEST_STEP:g} s is possible",
             f"name its unit, as in t=NAME[{unit}]", "reading",
         )  # fmt: skip
-    jumps = np.mean(np.diff(t) > _PAUSE * step)
-    if jumps > _BURSTS:
+    jumps = np.mean(np.diff(t) > _LIMITS.pause * step)
+    if jumps > _LIMITS.bursts:
         yield Check(
-            f"t jumps by more than {_PAUSE:g} usual steps in {jumps:.0%} of the rows: rows that "
-            "were buffered bear the time of their arrival, or the logger sleeps",
+            f"t jumps by more than {_LIMITS.pause:g} usual steps in {jumps:.0%} of the rows: rows "
+            "that were buffered bear the time of their arrival, or the logger sleeps",
             f"of readings at a steady rate, map t={ROW}[*PERIOD] with the time from row to row [s]",
             "trust",
         )
@@ -124,21 +131,28 @@ def _time(drive: Observed) -> _Found:
         )
 
 
-_GROWS = 0.9  # share of all change that is growth, of a counter
-_STEADY = 0.5  # the same of a drive that speeds up and slows down, or of a side that may return
-_CHANGES = 8  # of a counter, from which chance does not explain that all go one way
+class CounterLimits(NamedTuple):
+    """From which on a channel is a counter."""
+
+    grows: float = 0.9  # share of all change that is growth, of a counter
+    # the same of a drive that speeds up and slows down, or of a side that may return
+    steady: float = 0.5
+    changes: int = 8  # of a counter, from which chance does not explain that all go one way
 
 
-def grows(values: FloatArray, share: float = _GROWS) -> int:
+_COUNTER = CounterLimits()
+
+
+def grows(values: FloatArray, share: float = _COUNTER.grows) -> int:
     """Return whether readings go one way all along like a counter: 1 up, -1 down, 0 neither."""
     steps = np.diff(values[np.isfinite(values)])
     total = float(np.abs(steps).sum())
     # A counter that is set back goes far in one step.
-    if np.count_nonzero(steps) >= 2 * _CHANGES:
+    if np.count_nonzero(steps) >= 2 * _COUNTER.changes:
         steps = steps[np.abs(steps) < max(0.5 * total, 1e-300)]
         total = float(np.abs(steps).sum())
     net = float(steps.sum())
-    counted = np.count_nonzero(steps) >= _CHANGES and abs(net) > share * total
+    counted = np.count_nonzero(steps) >= _COUNTER.changes and abs(net) > share * total
     return int(np.sign(net)) if counted else 0
 
 
@@ -146,11 +160,11 @@ def _counters(drive: Observed) -> _Found:
     """Energy or charge for power or current: it only grows, though the robot slows down, too."""
     steps = np.diff(drive.effort)
     total = float(np.abs(steps).sum())
-    if abs(float(steps.sum())) > _STEADY * total or total < 0.5 * float(drive.effort.max()):
+    if abs(float(steps.sum())) > _COUNTER.steady * total or total < 0.5 * float(drive.effort.max()):
         return  # nothing that the robot does would make a power fall
     for name in (name for name in POWERS if name in drive.channels):
         values = drive.channels[name]
-        way = grows(values, _STEADY)
+        way = grows(values, _COUNTER.steady)
         # A power changes while the robot speeds up; a running total, as long as it drives.
         if way and abs(correlation(np.diff(values), drive.effort[1:])) > 0.5:
             what, units = ("energy", ("Wh", "J"))
@@ -198,7 +212,7 @@ def _relations(drive: Observed) -> dict[str, _Relation]:
     """Return how the yaw rates go with the treads, where the robot turns at all."""
     found = {}
     difference = drive.difference
-    if np.count_nonzero(np.abs(difference) > _TURNING) < _ENOUGH:
+    if np.count_nonzero(np.abs(difference) > _LIMITS.turning) < _LIMITS.enough:
         return {}
     for name, rate in drive.rates.items():
         if name == "yaw" and abs(correlation(rate, difference)) < 0.5:
@@ -291,7 +305,7 @@ def _faults(drive: Observed, relations: Mapping[str, _Relation], sure: bool = Fa
         f"{name} falls while v_right exceeds v_left (correlation {one.alike:.2f})"
         for name, one in relations.items() if one.sign < 0 or (sure and one.sign == 0)
     ]  # fmt: skip
-    turns = (np.mean(np.abs(rate) > _TURNS) > _SHARE for rate in drive.rates.values())
+    turns = (np.mean(np.abs(rate) > _SIDE.turns) > _SIDE.share for rate in drive.rates.values())
     if sure and not relations and any(turns):
         found.append("the treads do not turn the robot")
     if mirrored_side(drive):
@@ -390,12 +404,28 @@ def _counting(drive: Observed) -> _Found:
     return []
 
 
-_OPPOSED = 0.7  # share of the driving in which no drive turns on the spot
+class SideLimits(NamedTuple):
+    """From which on the two sides contradict each other."""
+
+    opposed: float = 0.7  # share of the driving in which no drive turns on the spot
+    long: float = 5.0  # time of driving straight in which no power stays the same [s]
+    repeated: int = 5  # samples that show the same, at least, of a sensor that is dead
+    turns: float = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
+    share: float = 0.05  # share of the samples in which it must
+    flips: float = 0.3  # share of the steps that go back at once, of a reading with noise
+    few: int = 5  # least number of samples that show a sign
+    sign_time: float = 5.0  # least time in which they do [s]
+    # times the resistance of straight lines, which no side on the inside draws
+    dragged: float = 1.3
+    ratio: float = 60.0  # ratio of both sides' powers that no ground explains
+
+
+_SIDE = SideLimits()
 
 
 def _opposed(drive: Observed) -> _Found:
     """Without a heading, sides that go against each other as no drive does: one is mirrored."""
-    if drive.rates or np.count_nonzero(drive.moving) < _ENOUGH:  # rates show more
+    if drive.rates or np.count_nonzero(drive.moving) < _LIMITS.enough:  # rates show more
         return
     effort, driving = drive.effort, float(drive.effort[drive.moving].sum())
     spun = float(effort[drive.moving & (drive.left * drive.right < 0.0)].sum()) / driving
@@ -406,7 +436,7 @@ def _opposed(drive: Observed) -> _Found:
         if float(gone.sum()) < 0.5 * float(steps.sum()):
             return
     saves = ""
-    if spun < _OPPOSED:
+    if spun < _SIDE.opposed:
         fit = regress([effort, np.abs(drive.difference), np.ones(len(drive.t))], drive.power)
         # Neighbouring samples repeat each other for about a second.
         chance = np.sqrt(max(1.0, 1.0 / drive.typical_step))
@@ -456,15 +486,6 @@ def _measured_twice(drive: Observed) -> _Found:
 
 # -- sides --------------------------------------------------------------------------------------
 
-_LONG = 5.0  # time of driving straight in which no power stays the same [s]
-_REPEATED = 5  # samples that show the same, at least, of a sensor that is dead
-_TURNS = 0.3  # yaw rate over a second that no robot has which is driven straight [rad/s]
-_SHARE = 0.05  # share of the samples in which it must
-_FLIPS = 0.3  # share of the steps that go back at once, of a reading with noise
-_FEW, _TOLD = 5, 5.0  # least number of samples, and seconds, that show a sign
-_DRAGGED = 1.3  # times the resistance of straight lines, which no side on the inside draws
-_UNLIKE = 60.0  # ratio of both sides' powers that no ground explains
-
 
 def _ahead(left: FloatArray, right: FloatArray) -> NDArray[np.bool_]:
     """Return where both sides go the same way, about as fast."""
@@ -476,7 +497,7 @@ def _dead(drive: Observed) -> _Found:
     for side, other in _EACH_SIDE:
         speed, theirs = drive.channels[f"v_{side}"], drive.channels[f"v_{other}"]
         about = any(abs(correlation(rate, theirs)) > 0.9 for rate in drive.rates.values())
-        moves = np.count_nonzero(theirs) >= _ENOUGH and np.ptp(theirs) > 0.0
+        moves = np.count_nonzero(theirs) >= _LIMITS.enough and np.ptp(theirs) > 0.0
         if np.ptp(speed) == 0.0 and moves and not about:  # else it turns about the side that stands
             yield Check(
                 f"v_{side} is {speed[0]:g} throughout while v_{other} changes: its encoder is "
@@ -488,7 +509,7 @@ def _dead(drive: Observed) -> _Found:
         power, drawn = drive.channels[f"p_{side}"], drive.channels[f"p_{other}"]
         # Straight on and on the spot neither side returns power.
         ahead = _ahead(np.abs(speed), np.abs(theirs)) & (drawn > 0)
-        if np.ptp(power) == 0.0 < np.ptp(drawn) and np.count_nonzero(ahead) >= _ENOUGH:
+        if np.ptp(power) == 0.0 < np.ptp(drawn) and np.count_nonzero(ahead) >= _LIMITS.enough:
             yield Check(
                 f"p_{side} is {power[0]:g} throughout while p_{other} is not, also where both go "
                 "as fast: its sensor is dead, or the column another",
@@ -508,18 +529,24 @@ def _dying(drive: Observed) -> _Found:
         values = drive.channels[name] if rate is None else rate
         active = drive.moving if rate is None else turns
         starts, counts = drive.stretches(name)
-        lasts_long = (np.add.reduceat(time * active, starts) > _LONG) & (counts >= _REPEATED)
+        lasts_long = (np.add.reduceat(time * active, starts) > _SIDE.long) & (
+            counts >= _SIDE.repeated
+        )
         if rate is None:  # amid others, zeros may be of a side that stands, or of little power
             steps = np.diff(values[drive.moving])
             steps = steps[steps != 0.0]
-            noisy = len(steps) > _ENOUGH and np.mean(steps[1:] * steps[:-1] < 0.0) > _FLIPS
+            noisy = (
+                len(steps) > _LIMITS.enough and np.mean(steps[1:] * steps[:-1] < 0.0) > _SIDE.flips
+            )
             lasts_long[1:-1] &= noisy & (values[starts[1:-1]] != 0.0)
         for first, count in zip(starts[lasts_long], counts[lasts_long], strict=True):
             elsewhere = active.copy()
             elsewhere[first : first + count] = False
             others = values[elsewhere]
             if rate is None:  # without noise, or with few digits, all that is steady repeats
-                changes = len(others) >= _ENOUGH and len(np.unique(others)) > 0.5 * len(others)
+                changes = len(others) >= _LIMITS.enough and len(np.unique(others)) > 0.5 * len(
+                    others
+                )
             else:  # a steady turn may repeat a reading, but none that is far below all others
                 still = np.median(np.abs(values[first : first + count]))
                 changes = bool(len(others) and still < 0.1 * np.median(np.abs(others)))
@@ -542,7 +569,7 @@ def _false_speeds(drive: Observed) -> _Found:
         second = max(int(1.0 / drive.typical_step), 1)
         for name, rate in drive.rates.items():
             mean = rate[: len(rate) // second * second].reshape(-1, second).mean(axis=1)
-            if len(mean) and np.mean(np.abs(mean) > _TURNS) > _SHARE:
+            if len(mean) and np.mean(np.abs(mean) > _SIDE.turns) > _SIDE.share:
                 yield Check(
                     f"v_left and v_right are the same while {name} shows that the robot turns: "
                     "one column was used for both sides", "map each to its own", "fitting",
@@ -555,9 +582,9 @@ def _false_speeds(drive: Observed) -> _Found:
         return
     equal = (np.abs(difference) < 0.15 * (left + right)) & (left + right > 0.2 * top)
     for name, rate in drive.rates.items():
-        turning = np.abs(rate) > _TURNS
+        turning = np.abs(rate) > _SIDE.turns
         spinning = equal & turning & (np.abs(rate) > 0.5 * np.quantile(np.abs(rate), 0.99))
-        if np.count_nonzero(spinning) <= max(_ENOUGH, 0.5 * _SHARE * len(left)):
+        if np.count_nonzero(spinning) <= max(_LIMITS.enough, 0.5 * _SIDE.share * len(left)):
             continue
         if not _turns_by(difference, rate, spinning, turning & ~spinning):
             yield Check(
@@ -576,7 +603,7 @@ def _on_the_spot(drive: Observed) -> _Found:
         return
     steady = np.abs(derivative(drive.t, effort, drive.runs, 0.5)) < 0.1 * top
     equal = steady & (np.abs(left - right) < 0.15 * effort) & (effort > 0.2 * top)
-    if np.count_nonzero(equal) < 5 * _ENOUGH:
+    if np.count_nonzero(equal) < 5 * _LIMITS.enough:
         return
     force = drive.power[equal] / effort[equal]
     low, high = np.quantile(force, [0.1, 0.9])
@@ -596,7 +623,7 @@ def _turns_by(
     """Whether the speeds' difference makes the turns of some samples as it does of others."""
     if abs(correlation(difference[some], rate[some])) < 0.7:
         return False
-    if np.count_nonzero(others) < _ENOUGH:
+    if np.count_nonzero(others) < _LIMITS.enough:
         return True
     here, there = (
         abs(float(difference[part] @ rate[part]) / float(rate[part] @ rate[part]))
@@ -614,20 +641,20 @@ def _unlike(drive: Observed) -> _Found:
     # On turns alone the inner side may take next to nothing, and where both sides are as fast,
     # straight on or on the spot, one may be pushed along by the other.
     alike = _ahead(np.abs(drive.left), np.abs(drive.right)) & drawn
-    if np.count_nonzero(drawing) < _ENOUGH:
+    if np.count_nonzero(drawing) < _LIMITS.enough:
         return
     if np.array_equal(p_left[drawing], p_right[drawing]):
         yield Check(
             "p_left and p_right are the same, though the sides go at different speeds: one column "
             "was used for both", "map each to its own, or map a total as power=NAME", "fitting",
         )  # fmt: skip
-    elif np.count_nonzero(alike) >= _ENOUGH:
+    elif np.count_nonzero(alike) >= _LIMITS.enough:
         sizes: dict[str, FloatArray] = {
             name: np.array([np.median(np.abs(power[some])) for some in (drawing, alike)])
             for name, power in (("p_left", p_left), ("p_right", p_right))
         }
         less, more = sorted(sizes, key=lambda name: float(sizes[name][0]))
-        if np.all((sizes[less] > 0) & (_UNLIKE * sizes[less] < sizes[more])):
+        if np.all((sizes[less] > 0) & (_SIDE.ratio * sizes[less] < sizes[more])):
             yield Check(
                 f"{more} is {sizes[more][0] / sizes[less][0]:.3g} times as large as {less}: one "
                 f"side is in another unit, or the sensor of {less} is dead",
@@ -654,7 +681,7 @@ def _lost_sign(drive: Observed) -> _Found:
     turns = np.abs(difference) > 0.2 * float(np.quantile(np.abs(difference), 0.95))
     straight = np.abs(difference) < 0.01 * np.abs(drive.left + drive.right)
     # Samples of a slow log are far between, and few of them show as much.
-    enough = int(np.clip(_TOLD / drive.typical_step, _FEW, _ENOUGH))
+    enough = int(np.clip(_SIDE.sign_time / drive.typical_step, _SIDE.few, _LIMITS.enough))
     lost: list[str] = []
     returned = False
     for side, speed, outwards in (("p_left", drive.left, -1.0), ("p_right", drive.right, 1.0)):
@@ -671,7 +698,7 @@ def _lost_sign(drive: Observed) -> _Found:
         fit = regress([one[some] for one in shapes], power[some])
         slip, resistance, seen = fit.values[:3]
         exchanged = 0.0 < 1.5 * slip < resistance and seen < np.sqrt(slip * resistance)
-        if not (exchanged or 0.0 < _DRAGGED * seen < resistance - slip):
+        if not (exchanged or 0.0 < _SIDE.dragged * seen < resistance - slip):
             return
         lost.append(side)
     if len(lost) == 1 and returned:
@@ -694,9 +721,9 @@ def _lost_sign(drive: Observed) -> _Found:
 def _powers(drive: Observed) -> _Found:
     """Power against the tread speeds: its digits, its sign, its side, its time."""
     channels, effort = drive.channels, drive.effort
-    moving = effort > 2 * _MOVING
+    moving = effort > 2 * _LIMITS.moving
     driven = int(np.count_nonzero(moving))
-    if driven < _ENOUGH:
+    if driven < _LIMITS.enough:
         yield Check(
             "the robot hardly moves; its power parameters cannot be found"
             if 2 * driven < len(drive.t) else
@@ -734,7 +761,7 @@ def _powers(drive: Observed) -> _Found:
         fast = np.abs(drive.right) - np.abs(drive.left)
         arcs = (np.abs(fast) > 0.15 * effort) & moving
         excess = (channels["p_right"] - channels["p_left"])[arcs]
-        if len(excess) >= _ENOUGH and correlation((fast * effort)[arcs], excess) < -0.5:
+        if len(excess) >= _LIMITS.enough and correlation((fast * effort)[arcs], excess) < -0.5:
             yield Check(
                 "p_left and p_right seem to be swapped: in arcs the outer, faster tread must draw "
                 "the more", refuses="trust",
@@ -770,9 +797,9 @@ def _step(values: FloatArray, typical: float) -> float:
 
 def _steps(drive: Observed) -> _Found:
     """Find readings with so few digits that a steady one is not known, however long it lasts."""
-    moving = drive.effort > 2 * _MOVING
+    moving = drive.effort > 2 * _LIMITS.moving
     speeds = np.abs(np.concatenate([drive.left, drive.right]))
-    read = {"the tread speeds": (speeds[speeds > _MOVING], "m/s")}
+    read = {"the tread speeds": (speeds[speeds > _LIMITS.moving], "m/s")}
     for name in drive.electric_names:
         read[name] = drive.channels[name][moving], "A" if name == "current" else "W"
     for name, (values, unit) in read.items():
@@ -801,14 +828,14 @@ def _flipped(drive: Observed, side: str) -> bool:
     right = side == "p_right"
     speed = drive.right if right else drive.left
     turn = drive.difference if right else -drive.difference
-    outer = (turn * speed > 0) & (np.abs(turn) > np.maximum(_TURNING, 0.15 * drive.effort))
-    outer &= np.abs(speed) > _MOVING
-    enough = max(_ENOUGH, 3.0 / drive.typical_step)  # stops, which give back, are short
+    outer = (turn * speed > 0) & (np.abs(turn) > np.maximum(_LIMITS.turning, 0.15 * drive.effort))
+    outer &= np.abs(speed) > _LIMITS.moving
+    enough = max(_LIMITS.enough, 3.0 / drive.typical_step)  # stops, which give back, are short
     drawn = drive.channels[side][outer]
     negative = _wrong_sign(drawn)
     if len(drawn) >= enough or (len(drawn) and not negative):
         return negative
-    straight = (np.abs(turn) < 0.1 * drive.effort) & (drive.effort > 2 * _MOVING)
+    straight = (np.abs(turn) < 0.1 * drive.effort) & (drive.effort > 2 * _LIMITS.moving)
     # An arc of a large radius, to one side, looks the same, and ends elsewhere.
     bent = abs(float(turn[straight].sum())) > 0.01 * float(drive.effort[straight].sum())
     if np.count_nonzero(straight) < enough or bent:
@@ -827,8 +854,8 @@ def _directed(drive: Observed) -> _Found:
             one, other = (drive.left, drive.right)[:: 1 if name == "p_left" else -1]
             power, speed = drive.channels[name], one
             some = some & ((np.abs(one) >= 0.95 * np.abs(other)) | (one * other < 0.0))
-        ahead, back = (some & (sign * speed > _MOVING) for sign in (1.0, -1.0))
-        enough = min(np.count_nonzero(ahead), np.count_nonzero(back)) >= _ENOUGH
+        ahead, back = (some & (sign * speed > _LIMITS.moving) for sign in (1.0, -1.0))
+        enough = min(np.count_nonzero(ahead), np.count_nonzero(back)) >= _LIMITS.enough
         if enough and _wrong_sign(-power[ahead]) and _wrong_sign(power[back]):
             found.append(name)
     if found:
@@ -852,7 +879,20 @@ def _descends(drive: Observed) -> bool:
     return float(np.sum(np.sin(slope) * forward)) < -0.02 * float(np.abs(forward).sum())
 
 
-_CHOPPED = 1.2  # times as many zeros while it drives slowly, of pulses
+class MotionLimits(NamedTuple):
+    """From which on a power does not follow the motion."""
+
+    chopped: float = 1.2  # times as many zeros while it drives slowly, of pulses
+    follows: float = 0.15  # share of a power's variance that the motion explains, at least
+    episodes: int = 4  # of driving, and as many of standing, that show whether one draws more
+    beyond: float = 3.0  # standard errors by which it does, at least
+    far: float = 24 * 3600.0  # time by which a clock may be off [s]
+    zone: float = 900.0  # which it then is by some whole quarters of an hour [s]
+    # correlation of power and speeds from which a shift explains why they differ
+    shifted: float = 0.5
+
+
+_MOTION = MotionLimits()
 
 
 def _repeats(drive: Observed) -> _Found:
@@ -873,12 +913,14 @@ def _repeats(drive: Observed) -> _Found:
         if name.startswith("p_"):  # of a side that returns nothing, zero is a reading
             drives &= (values[starts] != 0.0) | (drive.power[starts] == 0.0)
         blank = (values[starts] == 0.0) & (counts < least) & drives
-        if name in ("power", "current") and np.count_nonzero(blank) > max(_ENOUGH, 0.01 * len(t)):
+        if name in ("power", "current") and np.count_nonzero(blank) > max(
+            _LIMITS.enough, 0.01 * len(t)
+        ):
             what, remedy = "rows without a reading were filled with 0", "leave such cells empty"
             # Pulses of a bridge are the longer the faster it drives; a lost reading is chance.
             slow = moving & (drive.effort < float(np.median(drive.effort[moving])))
             zero = [float(np.mean(values[part] == 0.0)) for part in (slow, moving & ~slow)]
-            if zero[0] > max(_CHOPPED * zero[1], 0.1):
+            if zero[0] > max(_MOTION.chopped * zero[1], 0.1):
                 what, remedy = (
                     "it is chopped, as beside a PWM bridge, and its mean is what is drawn",
                     "average each column over some 0.1 s before the log is written, zeros too, as "
@@ -913,42 +955,39 @@ def _repeats(drive: Observed) -> _Found:
         )
 
 
-_FOLLOWS = 0.15  # share of a power's variance that the motion explains, at least
-_EPISODES = 4  # of driving, and as many of standing, that show whether one draws more
-_BEYOND = 3.0  # standard errors by which it does, at least
-_FAR = 24 * 3600.0  # time by which a clock may be off [s]
-_ZONE = 900.0  # which it then is by some whole quarters of an hour [s]
-
-
 def _unmoved(drive: Observed) -> _Found:
     """Find a power that does not rise when the robot drives: of another time, or another thing."""
     t = drive.t
     shapes = power_regressors(drive.channels, drive.runs)
     rest = regress([*shapes, np.ones(len(t))], drive.power).rest
-    if rest.var() < (1.0 - _FOLLOWS) * drive.power.var() or _descends(drive):
+    if rest.var() < (1.0 - _MOTION.follows) * drive.power.var() or _descends(drive):
         return
     offset = find_offset("power", t, drive.power, shapes, drive.runs)
     if offset is not None and offset.certain:
         return  # which is said already
-    span = min(float(t[-1] - t[0]), _FAR)
-    shifts = [sign * k * _ZONE for k in range(1, int(span / _ZONE) + 1) for sign in (1.0, -1.0)]
+    span = min(float(t[-1] - t[0]), _MOTION.far)
+    shifts = [
+        sign * k * _MOTION.zone
+        for k in range(1, int(span / _MOTION.zone) + 1)
+        for sign in (1.0, -1.0)
+    ]
     rated: list[tuple[float, float]] = []
     for shift in shifts:
         inside = (t + shift >= t[0]) & (t + shift <= t[-1])
-        if np.count_nonzero(inside) > max(5 * _ENOUGH, 0.2 * len(t)):
+        if np.count_nonzero(inside) > max(5 * _LIMITS.enough, 0.2 * len(t)):
             moved = np.interp(t[inside] + shift, t, drive.power)
             speed = drive.effort[inside]
             alike = correlation(moved - moved.mean(), speed - speed.mean())
             rated.append((alike, shift))
     best, shift = max(rated, default=(0.0, 0.0))
     rise = _rise(t, drive.effort, drive.power)
-    if best <= _SHIFTED and any(True for _ in charged(drive)):
+    if best <= _MOTION.shifted and any(True for _ in _charged(drive)):
         return
-    if best <= _SHIFTED and (rise is None or rise > _BEYOND):
+    if best <= _MOTION.shifted and (rise is None or rise > _MOTION.beyond):
         return
     why = "its clock is not that of the speeds, or it is that of another consumer, or a counter"
     remedy = "log speed and power with one clock, and the power that the motors draw"
-    if best > _SHIFTED:
+    if best > _MOTION.shifted:
         late, hours = "ahead" if shift > 0 else "behind", abs(shift) / 3600.0
         sign = "-" if shift > 0 else "+"
         why = f"the clock of the power is {hours:g} h {late} (correlation {best:.2f} once shifted)"
@@ -956,13 +995,10 @@ def _unmoved(drive: Observed) -> _Found:
     yield Check(f"the power does not rise when the robot drives: {why}", remedy)
 
 
-_SHIFTED = 0.5  # correlation of power and speeds from which a shift explains why they differ
-
-
 def _rise(t: FloatArray, effort: FloatArray, power: FloatArray) -> float | None:
     """Return by how many standard errors driving draws more than standing; None if unseen."""
     top = float(np.quantile(effort, 0.95))
-    if top < 2 * _MOVING:
+    if top < 2 * _LIMITS.moving:
         return None
     kind = np.where(effort > 0.5 * top, 1, np.where(effort < 0.25 * top, -1, 0))
     rows = np.flatnonzero(kind)
@@ -971,7 +1007,7 @@ def _rise(t: FloatArray, effort: FloatArray, power: FloatArray) -> float | None:
     starts = np.flatnonzero(np.diff(kind[rows], prepend=0))
     means = np.add.reduceat(power[rows], starts) / np.diff(np.append(starts, len(rows)))
     driving, standing = (means[kind[rows][starts] == sign] for sign in (1, -1))
-    if min(len(driving), len(standing)) < _EPISODES:
+    if min(len(driving), len(standing)) < _MOTION.episodes:
         return None
     error = np.sqrt(driving.var(ddof=1) / len(driving) + standing.var(ddof=1) / len(standing))
     return float((driving.mean() - standing.mean()) / max(error, 1e-300))
@@ -981,7 +1017,7 @@ def _motor_current(drive: Observed) -> _Found:
     """Find a current that is that of the motors, which follows torque and not power."""
     top = float(np.quantile(drive.effort, 0.95))
     rest, moving = drive.effort < 0.02 * top, drive.effort > 0.15 * top
-    if np.count_nonzero(rest) < _ENOUGH or np.count_nonzero(moving) < 5 * _ENOUGH:
+    if np.count_nonzero(rest) < _LIMITS.enough or np.count_nonzero(moving) < 5 * _LIMITS.enough:
         return
     speed, power = drive.effort[moving], drive.power[moving]
     low, high = np.quantile(speed, [0.15, 0.85])
@@ -998,7 +1034,7 @@ def _motor_current(drive: Observed) -> _Found:
     flat = float(fit.means[half:].sum()) - float(drive.power[rest].mean())
     grown = float(fit.means[:half].sum())
     spread = float(np.std(fit.rest)) / max(abs(float(power.mean())), 1e-300)
-    if any(True for _ in charged(drive)):  # which lowers the power at rest
+    if any(True for _ in _charged(drive)):  # which lowers the power at rest
         return
     if flat > 0.7 * float(power.mean()) > 0 and flat > 3 * abs(grown) and spread < 0.8:
         yield Check(
@@ -1007,6 +1043,136 @@ def _motor_current(drive: Observed) -> _Found:
             "log the battery's current, or map the power by the motor's constant, as in "
             + _BY_SPEED,
         )
+
+
+# -- sensors and publishers ----------------------------------------------------------------------
+
+
+class FaultLimits(NamedTuple):
+    """From which on readings show a fault."""
+
+    fed: float = 0.1  # of the mean power of driving, that flows back at rest where something feeds
+    # least time of one stretch, and of all, in which it does [s]
+    standing: tuple[float, float] = (1.0, 3.0)
+    ceiling: float = 0.03  # of the largest reading, in which those at the end of a range lie
+    often: float = 0.1  # share of the driving in which they do, at least
+    beyond: float = 1.15  # times as much as they show, that the motion asks for there
+    longest_zero: int = 2  # samples that a speed is 0 for a moment, at most
+    some_zeros: float = 0.02  # share of the driving in which it is, at least
+
+
+_FAULT = FaultLimits()
+
+
+def _charged(drive: Observed) -> _Found:
+    """Find power that flows back while the robot stands: a charger, or a panel, feeds it."""
+    top = float(np.quantile(drive.effort, 0.95))
+    rest, moving = drive.effort < 0.05 * top, drive.moving
+    drawn = float(drive.power[moving].mean()) if np.count_nonzero(moving) >= _LIMITS.enough else 0.0
+    if drawn <= 0.0:  # of the wrong sign, which is said elsewhere
+        return
+    found: list[tuple[float, float, float]] = []
+    for run in drive.runs:
+        standing = rest[run]
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], standing.astype(int), [0]])))
+        for first, last in edges.reshape(-1, 2) + run.start:
+            lasting = float(drive.t[last - 1] - drive.t[first])
+            mean = float(drive.power[first:last].mean())
+            error = float(drive.power[first:last].std()) / np.sqrt(last - first)
+            if lasting >= _FAULT.standing[0] and mean < -max(_FAULT.fed * drawn, 4.0 * error):
+                found.append((lasting, mean, float(drive.t[first])))
+    if sum(lasting for lasting, _, _ in found) < _FAULT.standing[1]:
+        return
+    longest, mean, start = max(found)
+    yield Check(
+        f"the battery is charged while the robot stands: {mean:.3g} W for {longest:.3g} s from t = "
+        f"{start:.2f} s, as by a charger, a dock or a solar panel",
+        "leave the time on the charger out; where a panel feeds while it drives too, log what the "
+        "robot draws, which is the battery's power and the panel's together",
+    )
+
+
+def _ceiling(drive: Observed) -> _Found:
+    """Find readings that stop at the end of a sensor's range where the motion asks for more."""
+    moving = drive.moving
+    if np.count_nonzero(moving) < 5 * _LIMITS.enough:
+        return
+    for name in drive.electric_names:
+        values = drive.channels[name]
+        effort, turning = drive.effort, np.abs(drive.difference)
+        if drive.sides:
+            speed = drive.left if name == "p_left" else drive.right
+            effort = np.abs(speed)
+        high = float(np.max(values[moving]))
+        at_end = moving & (values >= (1.0 - _FAULT.ceiling) * high)
+        below = moving & ~at_end
+        if high <= 0.0 or np.count_nonzero(at_end) < max(
+            _LIMITS.enough, _FAULT.often * np.count_nonzero(moving)
+        ):
+            continue
+        if np.count_nonzero(below) < 2 * _LIMITS.enough:
+            continue
+        shapes = [effort, turning, np.ones(len(values))]
+        fit = regress([shape[below] for shape in shapes], values[below])
+        asked = _sum(fit.values, [shape[at_end] for shape in shapes])
+        read = values[at_end]
+        spread = float(np.std(asked)) > 3.0 * float(np.std(read))
+        if (
+            fit.condition < 1e6
+            and spread
+            and float(asked.mean()) > _FAULT.beyond * float(read.mean())
+        ):
+            share = np.count_nonzero(at_end) / np.count_nonzero(moving)
+            unit = "A" if name == "current" else "W"
+            yield Check(
+                f"{name} ends at {high:.4g} {unit} in {share:.0%} of the driving, where the motion "
+                "asks for more: this is the end of its range",
+                "use a sensor with a larger range, or leave such stretches out",
+            )
+
+
+def _sum(factors: FloatArray, shapes: list[FloatArray]) -> FloatArray:
+    return np.asarray(factors @ np.stack(shapes))
+
+
+def _zeros_between(drive: Observed) -> _Found:
+    """Find speeds that fall to 0 for a sample or two while the robot drives on."""
+    drive = drive.rows
+    found: dict[str, int] = {}
+    for name, speed in (("v_left", drive.left), ("v_right", drive.right)):
+        size = np.abs(speed)
+        typical = float(np.median(size[size > 0.0])) if np.count_nonzero(size) else 0.0
+        blank = _short_zeros(speed)
+        fast = np.flatnonzero(blank)
+        before, after = fast - 1, fast + 1
+        while len(fast) and np.any(blank[after]):
+            after = np.where(blank[after], after + 1, after)
+        while len(fast) and np.any(blank[before]):
+            before = np.where(blank[before], before - 1, before)
+        low = np.minimum(speed[before] * np.sign(speed[after]), size[after])
+        count = int(np.count_nonzero(low > 0.5 * typical))
+        if typical > 0.0 and count >= max(
+            _LIMITS.enough, _FAULT.some_zeros * np.count_nonzero(size > 0.5 * typical)
+        ):
+            found[name] = count
+    if found:
+        yield Check(
+            f"{' and '.join(found)} {'fall' if len(found) > 1 else 'falls'} to 0 for a moment "
+            f"{max(found.values())} times in driving: another publisher sends zeros, or rows "
+            "without a reading were filled with 0",
+            "stop the other publisher, as a joint_state_publisher beside the driver's, or leave "
+            "such cells, or messages, out",
+        )
+
+
+def _short_zeros(speed: FloatArray) -> NDArray[np.bool_]:
+    """Return where a speed is 0 for no more than a few samples, neither at its begin nor end."""
+    zero = speed == 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], zero.astype(int), [0]]))).reshape(-1, 2)
+    result = np.zeros(len(speed), bool)
+    for first, last in edges:
+        result[first:last] = last - first <= _FAULT.longest_zero and first > 0 and last < len(speed)
+    return result
 
 
 _SIDES = frozenset({"p_left", "p_right"})
@@ -1024,9 +1190,9 @@ RULES = (
     Rule("two powers are two, in one unit", _unlike, needs=_SIDES),
     Rule("a side that returns power has a negative one", _lost_sign, needs=_SIDES),
     Rule("a noisy power does not repeat", _repeats),
-    Rule("a speed does not fall to 0 for a moment", zeros_between),
-    Rule("no power ends where the motion asks for more", ceiling),
-    Rule("nothing feeds a robot that stands", charged),
+    Rule("a speed does not fall to 0 for a moment", _zeros_between),
+    Rule("no power ends where the motion asks for more", _ceiling),
+    Rule("nothing feeds a robot that stands", _charged),
     Rule("power depends on speed", _motor_current),
     Rule("power rises when the robot drives", _unmoved, of_two_sides=True),
     Rule("power is drawn backwards, too", _directed, of_two_sides=True),
@@ -1087,7 +1253,7 @@ def _shared(one: DriveLog, other: DriveLog) -> int:
     some, others = _readings(one)[:, mine], _readings(other)[:, theirs]
     alike = np.all(some == others, axis=0) & np.any(some[:2] != 0.0, axis=0)
     count = int(np.count_nonzero(alike))
-    return count if count >= _ENOUGH else 0
+    return count if count >= _LIMITS.enough else 0
 
 
 def _readings(log: DriveLog) -> FloatArray:

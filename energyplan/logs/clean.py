@@ -26,7 +26,31 @@ LIMITS = {name: (one.least, one.most, one.unit) for name, one in LOGGED.items()}
 """Range in which a reading is possible at all, by channel."""
 ANY = (-1e30, 1e30, "in its unit")
 """The same of other channels."""
-_MOST = 0.99  # share of readings that are possible where a channel is in its unit
+
+
+class CleaningLimits(NamedTuple):
+    """How much of a log may be mended, and from which on it is clear how."""
+
+    most: float = 0.99  # share of readings that are possible where a channel is in its unit
+    few: float = 0.05  # share of readings that glitches may have
+    enough: int = 20  # readings below which nothing is concluded
+    # share of a channel's rows that hold the others too, from which rows are whole
+    together: float = 0.8
+    # repeated readings that must be expected, were readings written whatever they are
+    expected: float = 5.0
+    # share of readings out of range that is taken for glitches, not for a wrong unit
+    stray: float = 0.01
+    bridge: float = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
+    late: float = 0.01  # share of the rows that may come late
+    latest: float = 5.0  # how late they may come [s]
+    shared: float = 0.2  # share of the rows that may have the time of another
+    one_time: int = 8  # rows of one time, at most
+    # share of the steps in which a heading may change by more than a third of a turn
+    far: float = 0.01
+    sparse: float = 0.1  # share of rows that may be set aside for want of a further channel
+
+
+_CLEANING = CleaningLimits()
 _OTHER_UNITS = {
     "s": "ns", "rad": "deg", "rad/s": "deg/s", "V": "mV", "A": "mA", "W": "mW",
     "m/s": "km/h], [cm/s] or [mm/s], of wheels' rates [rad/s*RADIUS] or [rpm*RADIUS], or, if "
@@ -41,7 +65,7 @@ def possible(channels: Mapping[str, FloatArray]) -> bool:
     """Return whether nearly all readings are such as a robot's channels can hold."""
     for name, values in channels.items():
         low, high, _ = LIMITS.get(name, ANY)
-        if np.mean((values >= low) & (values <= high)) < _MOST:
+        if np.mean((values >= low) & (values <= high)) < _CLEANING.most:
             return False
     return True
 
@@ -56,32 +80,26 @@ _STANDS_OUT = {
 In units of what the channel holds for three readings. Of some 120 real drives and drives of a
 physics engine, also at one reading in two seconds, speeds stood out by 1.6 at most, powers by 3.2.
 """
-_FEW = 0.05  # share of readings that glitches may have
-_ENOUGH = 20  # readings below which nothing is concluded
 
 
 def find_glitches(channel: str, values: FloatArray) -> NDArray[np.bool_]:
     """Return which readings stand out from those around as nothing that lasts does."""
     lost = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
-    if channel not in _STANDS_OUT or len(known) < _ENOUGH:
+    if channel not in _STANDS_OUT or len(known) < _CLEANING.enough:
         return lost
     factor, least = _STANDS_OUT[channel]
     readings = values[known]
     lasting = np.median(sliding_window_view(np.pad(readings, 2, mode="reflect"), 5), axis=-1)
     typical = float(np.quantile(np.abs(lasting), 0.99))
     apart = (np.abs(readings - lasting) > factor * typical) & (np.abs(readings) > least)
-    if typical > 0.0 and np.mean(apart) <= _FEW:
+    if typical > 0.0 and np.mean(apart) <= _CLEANING.few:
         lost[known[apart]] = True
     return lost
 
 
 RECORDING = 20
 """Rows from which a stretch counts as a recording of its own."""
-
-_TOGETHER = 0.8  # share of a channel's rows that hold the others too, from which rows are whole
-
-_EXPECTED = 5.0  # repeated readings that must be expected, were readings written whatever they are
 
 
 def writes_changes(values: FloatArray) -> bool:
@@ -95,7 +113,7 @@ def writes_changes(values: FloatArray) -> bool:
     repeats = np.count_nonzero(np.diff(readings) == 0.0)
     between = np.diff(known)  # readings of a slow sensor come at a steady rate
     slow = len(between) and np.median(between) > 1 and np.mean(between == np.median(between)) > 0.9
-    return bool(expected >= _EXPECTED and repeats <= 0.2 * expected and not slow)
+    return bool(expected >= _CLEANING.expected and repeats <= 0.2 * expected and not slow)
 
 
 class Joined(NamedTuple):
@@ -118,7 +136,7 @@ def join_rows(series: Mapping[str, Series], needed: Collection[str]) -> Joined |
         steps = np.diff(own[clock])
         if (
             fewest < RECORDING
-            or whole >= _TOGETHER * fewest
+            or whole >= _CLEANING.together * fewest
             or np.any(steps <= 0)
             or not len(steps)
         ):
@@ -130,7 +148,7 @@ def join_rows(series: Mapping[str, Series], needed: Collection[str]) -> Joined |
     for name, one in series.items():
         if name == "t":
             continue
-        if one.t is own and np.count_nonzero(known[name][clock]) > _TOGETHER * len(clock):
+        if one.t is own and np.count_nonzero(known[name][clock]) > _CLEANING.together * len(clock):
             found[name] = one.values[clock]
             continue
         times = one.t[np.isfinite(one.t) & known[name]]
@@ -146,15 +164,6 @@ def join_rows(series: Mapping[str, Series], needed: Collection[str]) -> Joined |
 
 
 Place = Callable[[int], str]
-
-_STRAY = 0.01  # share of readings out of range that is taken for glitches, not for a wrong unit
-_BRIDGE = 1.0  # longest hole in a further channel that is bridged by interpolation [s]
-_LATE = 0.01  # share of the rows that may come late
-_LATEST = 5.0  # how late they may come [s]
-_SHARED = 0.2  # share of the rows that may have the time of another
-_ONE_TIME = 8  # rows of one time, at most
-_FAR = 0.01  # share of the steps in which a heading may change by more than a third of a turn
-_SPARSE = 0.1  # share of rows that may be set aside for want of a further channel
 
 
 @dataclass(frozen=True)
@@ -296,7 +305,7 @@ class _Cleaner:
     def many_strays(self, name: str) -> bool:
         """Return whether more readings are impossible than glitches are."""
         stray = self.strays(name)
-        return bool(np.count_nonzero(stray) > max(1.0, _STRAY * len(stray)))
+        return bool(np.count_nonzero(stray) > max(1.0, _CLEANING.stray * len(stray)))
 
     def blank_strays(self, name: str) -> None:
         """Blank the few readings that are impossible; many of them mean a wrong unit."""
@@ -397,7 +406,10 @@ class _Cleaner:
         late = np.append(False, np.diff(t) < 0)[: len(t)]
         if not np.any(late):
             return
-        if np.mean(late) > _LATE or np.max(np.maximum.accumulate(t) - t) > _LATEST:
+        if (
+            np.mean(late) > _CLEANING.late
+            or np.max(np.maximum.accumulate(t) - t) > _CLEANING.latest
+        ):
             return
         self.note(late, "the row is older than the one before; sorted by time")
         self.pick(np.argsort(t, kind="stable"))
@@ -430,7 +442,7 @@ class _Cleaner:
                 self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; spread")
                 self.channels["t"] = line
                 return
-        if np.mean(steps == 0) > _SHARED or np.max(sizes) > _ONE_TIME:
+        if np.mean(steps == 0) > _CLEANING.shared or np.max(sizes) > _CLEANING.one_time:
             return  # the clock stood still, or is too coarse
         self.note(np.repeat(sizes, sizes) > 1, "the row's time is that of another; averaged")
         for name, values in self.channels.items():
@@ -456,7 +468,7 @@ class _Cleaner:
             after = np.minimum(np.searchsorted(known, np.arange(len(t))), len(known) - 1)
             before = np.maximum(after - 1, 0)
             width = t[known[after]] - t[known[before]]
-            inside = (t >= t[known[0]]) & (t <= t[known[-1]]) & (width <= _BRIDGE)
+            inside = (t >= t[known[0]]) & (t <= t[known[-1]]) & (width <= _CLEANING.bridge)
             mended = hole & inside
             known_values = values[known]
             if name == "yaw":
@@ -468,13 +480,15 @@ class _Cleaner:
             self.note(mended, f"{name} has no usable reading; interpolated")
             self.channels[name], hole = filled, hole & ~mended
         share = np.count_nonzero(hole) / max(1, len(hole))
-        if share > _SPARSE:
+        if share > _CLEANING.sparse:
             self.warnings.append(
                 f"{name} is left out: {share:.0%} of its readings are missing ({self.where(hole)})"
             )
             del self.channels[name]
         else:
-            self.drop(hole, f"{name} has no usable reading for more than {_BRIDGE:g} s; left out")
+            self.drop(
+                hole, f"{name} has no usable reading for more than {_CLEANING.bridge:g} s; left out"
+            )
 
     def follow_heading(self) -> None:
         """Leave out a heading, from 0 to one turn, that is read too seldom to show the turns."""
@@ -483,7 +497,7 @@ class _Cleaner:
             return
         change = np.abs(np.angle(np.exp(1j * np.diff(yaw))))[np.diff(t) <= gap_limit(t)]
         far = np.count_nonzero(change > 2 * np.pi / 3)
-        if far > max(1.0, _FAR * len(change)):
+        if far > max(1.0, _CLEANING.far * len(change)):
             self.warnings.append(
                 f"yaw is left out: in {far / len(change):.0%} of the steps from reading to reading "
                 "it changes by more than a third of a turn, which does not tell how far the robot"

@@ -35,17 +35,27 @@ from energyplan.vehicle import GRAVITY, Vehicle, predict_icr
 if TYPE_CHECKING:
     from energyplan.logs import DriveLog
 
-_WINDOW = 3.0  # length of the stretches over which distances are compared [s]
-_ENOUGH = 20  # samples or windows below which nothing is concluded
-_JITTER = 6.0  # least displacement of a pose, over its readings' noise, that shows a length
-_CLOSE, _FAR_APART = 0.01, 0.1  # time between means of rows, at least and at most [s]
-_MANY_ROWS = 100_000  # rows that suffice to compare channels
-_CHANCE = 4.0  # standard errors beyond which a mean power is none by chance
-_ALIKE = 0.9  # correlation from which the turning shows a slip track
-_FEW_NUMBERS = 25  # whole numbers beyond which they may be of a finer unit
+
+class ComparisonLimits(NamedTuple):
+    """From which on channels show a ratio."""
+
+    window: float = 3.0  # length of the stretches over which distances are compared [s]
+    enough: int = 20  # samples or windows below which nothing is concluded
+    # least displacement of a pose, over its readings' noise, that shows a length
+    jitter: float = 6.0
+    close: float = 0.01  # time between means of rows, at least [s]
+    far: float = 0.1  # the same, at most [s]
+    most_rows: int = 100_000  # rows that suffice to compare channels
+    chance: float = 4.0  # standard errors beyond which a mean power is none by chance
+    alike: float = 0.9  # correlation from which the turning shows a slip track
+    few_numbers: int = 25  # whole numbers beyond which they may be of a finer unit
+    # relative error of a mass, at most; three of them are the range's margin
+    inertia_error: float = 0.13
+
+
+_COMPARED = ComparisonLimits()
 POWERS = ("p_left", "p_right", "power", "current")
 """Channels of what is drawn."""
-_INERTIA_ERROR = 0.13  # relative error of a mass, at most; three of them are the range's margin
 
 
 Channels = Mapping[str, FloatArray]
@@ -75,8 +85,12 @@ class Observed:
 
     def averaged(self) -> Observed:
         """Return what means show, where rows are so close, or so many, that means suffice."""
-        close = _CLOSE / self.typical_step if self.typical_step < 0.5 * _CLOSE else 1.0
-        many = min(len(self.t) / _MANY_ROWS, _FAR_APART / self.typical_step)
+        close = (
+            _COMPARED.close / self.typical_step
+            if self.typical_step < 0.5 * _COMPARED.close
+            else 1.0
+        )
+        many = min(len(self.t) / _COMPARED.most_rows, _COMPARED.far / self.typical_step)
         count = int(max(close, many, 1.0))
         runs = [run for run in self.runs if run.stop - run.start >= 100 * count]
         if count < 2 or sum(run.stop - run.start for run in runs) < 0.9 * len(self.t):
@@ -142,7 +156,7 @@ class Observed:
     def step(self) -> float:
         """Time between samples where they are close [s]."""
         steps = np.diff(self.t)
-        return float(np.quantile(steps, 0.1)) if len(self.t) >= 5 * _ENOUGH else np.nan
+        return float(np.quantile(steps, 0.1)) if len(self.t) >= 5 * _COMPARED.enough else np.nan
 
     @cached_property
     def slip_track(self) -> float:
@@ -150,7 +164,7 @@ class Observed:
         rate = self.rates.get("yaw_rate", self.rates.get("yaw"))
         if rate is None or not lasts(self.difference):
             return np.nan
-        if abs(correlation(rate, self.difference)) < _ALIKE:
+        if abs(correlation(rate, self.difference)) < _COMPARED.alike:
             return np.nan
         return abs(float(self.difference @ self.difference) / float(self.difference @ rate))
 
@@ -166,11 +180,11 @@ class Observed:
             return np.nan
         t, gyro, heading = self.t, self.rates["yaw_rate"], self.rates["yaw"]
         angles = integral(t, gyro), np.unwrap(self.channels["yaw"])
-        for window in (0.0, _WINDOW, 3 * _WINDOW):
+        for window in (0.0, _COMPARED.window, 3 * _COMPARED.window):
             if window > 0.0:
                 edges = np.arange(t[0], t[-1], window)
                 gyro, heading = (np.diff(np.interp(edges, t, angle)) for angle in angles)
-            if len(gyro) >= _ENOUGH and abs(correlation(gyro, heading)) >= 0.7:
+            if len(gyro) >= _COMPARED.enough and abs(correlation(gyro, heading)) >= 0.7:
                 # The jitter of the heading is in the denominator only where it is the regressor.
                 return abs(float(gyro @ gyro) / float(gyro @ heading))
         return np.nan
@@ -179,7 +193,7 @@ class Observed:
     def _driving(self) -> NDArray[np.bool_]:
         """Where it surely moves; nowhere if that is too seldom to conclude from."""
         fast = self.effort > max(0.1 * float(np.quantile(self.effort, 0.99)), 2e-6)
-        return fast if np.count_nonzero(fast) >= _ENOUGH else np.zeros(len(fast), bool)
+        return fast if np.count_nonzero(fast) >= _COMPARED.enough else np.zeros(len(fast), bool)
 
     @cached_property
     def top_speed(self) -> float:
@@ -191,7 +205,9 @@ class Observed:
         """Mean power over mean speed while driving [N]."""
         drawn = self.power[self._driving]
         # A dead sensor's noise has a mean, too.
-        if not len(drawn) or abs(drawn.mean()) <= _CHANCE * drawn.std() / np.sqrt(len(drawn)):
+        if not len(drawn) or abs(drawn.mean()) <= _COMPARED.chance * drawn.std() / np.sqrt(
+            len(drawn)
+        ):
             return np.nan
         return float(2.0 * np.abs(drawn.mean()) / self.effort[self._driving].mean())
 
@@ -229,7 +245,7 @@ class Observed:
             if loss < best:
                 best, mass = loss, float(fit.values[0])
                 error = fit.errors[0] * np.sqrt(_repeats(fit.rest))
-                found = mass if mass > 0 and error < _INERTIA_ERROR * mass else np.nan
+                found = mass if mass > 0 and error < _COMPARED.inertia_error * mass else np.nan
         return found
 
     @cached_property
@@ -242,7 +258,7 @@ def _whole(values: FloatArray | None) -> bool:
     """Return whether readings are whole numbers, more than a few of them."""
     if values is None or np.any(np.mod(values, 1.0) != 0.0):
         return False
-    return len(np.unique(values)) > _FEW_NUMBERS or float(np.median(np.abs(values))) > 60.0
+    return len(np.unique(values)) > _COMPARED.few_numbers or float(np.median(np.abs(values))) > 60.0
 
 
 class Regression(NamedTuple):
@@ -289,7 +305,7 @@ def correlation(one: FloatArray, other: FloatArray) -> float:
 def lasts(values: FloatArray) -> bool:
     """Return whether readings are large for long enough to conclude from, not for one jerk."""
     size = np.abs(values)
-    return bool(np.count_nonzero(size > 0.2 * np.max(size, initial=0.0)) >= _ENOUGH)
+    return bool(np.count_nonzero(size > 0.2 * np.max(size, initial=0.0)) >= _COMPARED.enough)
 
 
 def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
@@ -299,7 +315,7 @@ def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
     t = channels["t"]
     step = float(np.median(np.diff(t)))
     # Some stretches of some samples, whatever their time: its unit may be the mistake.
-    window = max(min(_WINDOW, step * len(t) / 40), 10 * step)
+    window = max(min(_COMPARED.window, step * len(t) / 40), 10 * step)
     rolled: list[FloatArray] = []
     gone: list[FloatArray] = []
     for run in runs:
@@ -327,7 +343,7 @@ def distance_ratio(channels: Channels, runs: Sequence[slice]) -> float:
     jitter = np.concatenate(
         [np.diff(channels[name][run], 2) for name in ("x", "y") for run in runs]
     )
-    if np.mean(pose**2) < _JITTER**2 * float(np.mean(jitter**2)) / 6.0:
+    if np.mean(pose**2) < _COMPARED.jitter**2 * float(np.mean(jitter**2)) / 6.0:
         return np.nan
     ratio = float(wheel @ wheel) / float(wheel @ pose)
     # Stretches that contradict each other (slipping, a lost pose) show nothing.
@@ -344,10 +360,18 @@ def _repeats(residual: FloatArray) -> float:
     return 1.0 + 2.0 * float(alike[: uncorrelated[0] if len(uncorrelated) else None].sum())
 
 
-_WHEEL_RADII = (0.02, 0.45)  # of skid-steer robots [m]
-_GEAR_RATIOS = (4.0, 250.0)  # between a motor and its wheel
-_NAMED = 3  # mistakes that are named, where several explain the same
-_DOUBT = 0.05  # by how much less unusual another unit must be to be named where nothing is wrong
+class UnitLimits(NamedTuple):
+    """When another unit is named, and between which sizes of wheels and gears."""
+
+    wheel_radii: tuple[float, float] = (0.02, 0.45)  # of skid-steer robots [m]
+    gear_ratios: tuple[float, float] = (4.0, 250.0)  # between a motor and its wheel
+    named: int = 3  # mistakes that are named, where several explain the same
+    # by how much less unusual another unit must be to be named where nothing is wrong
+    gain: float = 0.05
+    slips: float = 0.25  # relative error of a size of speeds that turning shows
+
+
+_UNIT = UnitLimits()
 _UNUSUAL = "speed and power are possible together, but another unit would be far more usual"
 
 _Columns = Mapping[str, Column]
@@ -413,43 +437,68 @@ class _Range:
 # The slip track of real drives lies at 0.76 to 1.08 of that of equal point loads (Husky on floor,
 # ice, loam; Warthog on grass), with a gyroscope's error on top; treads that dig themselves in turn
 # less than they indicate, and are left out for want of correlation.
-_TURNING = _Range("slip track over that of the wheel positions", 0.6, 1.45, 0.93, "moment balance")
-_DISTANCE = _Range("distance by the treads over that by the pose", 0.8, 1.35, 1.0, "little slip")
-_ROTATION = _Range("yaw rate over the rate of the heading", 0.75, 1.35, 1.0, "same turning")
-_TOP_SPEED = _Range("largest speed [m/s]", 0.02, 8.0, 0.7, "skid-steer robots")
-_FORCE = _Range("power over weight times speed", 0.008, 4.0, 0.25, "resistance of wheels")
-_ELECTRIC = _Range("power over voltage times current", 0.8, 1.25, 1.0, "the same power")
-_DENSITY = _Range("mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.0, "built robots")
-_ASPECT = _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots")
-_INERTIA = _Range("mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives")
-_STEP = _Range("time step [s]", SHORTEST_STEP, LONGEST_STEP, 0.05, "logs of drives")
-_VOLTAGE = _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots")
+_RANGES = {
+    "turning": _Range(
+        "slip track over that of the wheel positions", 0.6, 1.45, 0.93, "moment balance"
+    ),
+    "distance": _Range(
+        "distance by the treads over that by the pose", 0.8, 1.35, 1.0, "little slip"
+    ),
+    "rotation": _Range("yaw rate over the rate of the heading", 0.75, 1.35, 1.0, "same turning"),
+    "top_speed": _Range("largest speed [m/s]", 0.02, 8.0, 0.7, "skid-steer robots"),
+    "force": _Range("power over weight times speed", 0.008, 4.0, 0.25, "resistance of wheels"),
+    "electric": _Range("power over voltage times current", 0.8, 1.25, 1.0, "the same power"),
+    "density": _Range(
+        "mass over wheelbase times track [kg/m^2]", 40.0, 3000.0, 300.0, "built robots"
+    ),
+    "aspect": _Range("wheelbase over track", 0.33, 2.5, 0.95, "skid-steer robots"),
+    "inertia": _Range(
+        "mass by acceleration over that given", 0.62, 12.0, 1.1, "more with heavy drives"
+    ),
+    "step": _Range("time step [s]", SHORTEST_STEP, LONGEST_STEP, 0.05, "logs of drives"),
+    "voltage": _Range("voltage [V]", 3.0, 1000.0, 30.0, "batteries of robots"),
+}
 # Whole numbers may be tenths or hundredths, so that they are held to narrower ranges.
-_WHOLE_FORCE = replace(_FORCE, high=1.2, why="resistance of wheels, read in whole numbers")
-_ROUGH_FORCE = replace(_FORCE, low=8e-4, high=40.0, why="resistance of wheels, weight by size")
-_OF_DRIVES = replace(_ELECTRIC, low=0.25, why="what the drives draw of the battery's power")
-_WHOLE_VOLTAGE = replace(_VOLTAGE, high=100.0, why="batteries of robots, read in whole numbers")
+_RANGES |= {
+    "whole_force": replace(
+        _RANGES["force"], high=1.2, why="resistance of wheels, read in whole numbers"
+    ),
+    "rough_force": replace(
+        _RANGES["force"], low=8e-4, high=40.0, why="resistance of wheels, weight by size"
+    ),
+    "of_drives": replace(
+        _RANGES["electric"], low=0.25, why="what the drives draw of the battery's power"
+    ),
+    "whole_voltage": replace(
+        _RANGES["voltage"], high=100.0, why="batteries of robots, read in whole numbers"
+    ),
+}
 
 
 def _ratios(seen: Mapping[str, float], drive: Observed) -> list[tuple[_Range, float]]:
     """Return the known ratios that drive and measures make."""
     track, wheelbase, mass = (seen[key] for key in ("track", "wheelbase", "mass"))
     geometric = 2 * predict_icr(wheelbase, track) if track and wheelbase else nan
-    force = _WHOLE_FORCE if drive.whole & set(POWERS) else _FORCE
+    force = "whole_force" if drive.whole & set(POWERS) else "force"
     weight = mass * GRAVITY
     if not isfinite(mass):
-        force = _ROUGH_FORCE
-        weight = _DENSITY.typical * track * (wheelbase if isfinite(wheelbase) else track) * GRAVITY
-    found = [
-        (_STEP, seen["step"]), (_TOP_SPEED, seen["top_speed"]), (_DISTANCE, seen["distance"]),
-        (_ROTATION, seen["rotation"]), (_TURNING, seen["slip_track"] / geometric),
-        (_ASPECT, wheelbase / track), (_DENSITY, mass / (wheelbase * track)),
-        (force, seen["force"] / weight),
-        (_OF_DRIVES if drive.sides else _ELECTRIC, seen["electric"]),
-        (_WHOLE_VOLTAGE if "voltage" in drive.whole else _VOLTAGE, seen["voltage"]),
-        (_INERTIA, seen.get("inertia", nan) / mass),
-    ]  # fmt: skip
-    return [(span, value) for span, value in found if isfinite(value)]
+        force = "rough_force"
+        weight = (
+            _RANGES["density"].typical
+            * track
+            * (wheelbase if isfinite(wheelbase) else track)
+            * GRAVITY
+        )
+    found = {
+        "step": seen["step"], "top_speed": seen["top_speed"], "distance": seen["distance"],
+        "rotation": seen["rotation"], "turning": seen["slip_track"] / geometric,
+        "aspect": wheelbase / track, "density": mass / (wheelbase * track),
+        force: seen["force"] / weight,
+        "of_drives" if drive.sides else "electric": seen["electric"],
+        "whole_voltage" if "voltage" in drive.whole else "voltage": seen["voltage"],
+        "inertia": seen.get("inertia", nan) / mass,
+    }  # fmt: skip
+    return [(_RANGES[name], value) for name, value in found.items() if isfinite(value)]
 
 
 _ACTS: dict[tuple[str, ...], dict[str, int]] = {
@@ -546,7 +595,6 @@ _MISTAKES = [
 """What may have gone wrong, in the order of how often it does."""
 
 
-_SLIPS = 0.25  # relative error of a size of speeds that turning shows
 _USUAL_RATES = ("rad/s", "deg/s", "rpm", "rev/s")
 _BY_HAND = (
     "give what they are, of the wheels or the motors, with radius, gear and, of an electrical "
@@ -559,7 +607,9 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     geometric = 2 * predict_icr(known.wheelbase, known.track)
     distance = seen["distance"]
     wanted = (
-        1 / distance if isfinite(distance) else _TURNING.typical * geometric / seen["slip_track"]
+        1 / distance
+        if isfinite(distance)
+        else _RANGES["turning"].typical * geometric / seen["slip_track"]
     )
     sides = ("v_left", "v_right")
     if not (isfinite(wanted) and wanted > 0):
@@ -577,11 +627,11 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
     for unit, rate in RATES.items():
         radius = wanted * scale / rate
         as_given = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < 0.1
-        near = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < _SLIPS
+        near = isfinite(known.wheel_radius) and abs(log(radius / known.wheel_radius)) < _UNIT.slips
         as_given = as_given or (near and not shown)
         if not shown and not as_given and isfinite(known.wheel_radius):
             continue
-        if _WHEEL_RADII[0] <= radius <= _WHEEL_RADII[1] and unit in _USUAL_RATES:
+        if _UNIT.wheel_radii[0] <= radius <= _UNIT.wheel_radii[1] and unit in _USUAL_RATES:
             size = known.wheel_radius if as_given else radius
             rare = -0.2 if as_given else {"deg/s": 0.3, "rev/s": 0.15}.get(unit, 0.0)
             about = "" if as_given else f": the wheel radius is about {radius:.3g} m"
@@ -590,7 +640,7 @@ def _of_speeds(seen: Mapping[str, float], known: Measures, columns: _Columns) ->
                 _Mistake(sides, f"the tread speeds are the wheels' rates in {unit}{about}",
                          f"{unit}*{size:.3g}", wanted, rare, give)
             )  # fmt: skip
-    if 1 / _GEAR_RATIOS[1] <= wanted <= 1 / _GEAR_RATIOS[0]:
+    if 1 / _UNIT.gear_ratios[1] <= wanted <= 1 / _UNIT.gear_ratios[0]:
         name = "the tread speeds are those of the motors, before their gear of about"
         unit = f"*{wanted * scale:.3g}"
         give = "" if shown else _BY_HAND
@@ -633,9 +683,9 @@ def check_consistency(
               ok=span not in wrong, rule=span.what)
         for span, value in ratios
     ]  # fmt: skip
-    weighed = any(span.what == _FORCE.what for span, _ in ratios)
+    weighed = any(span.what == _RANGES["force"].what for span, _ in ratios)
     cost = sum(span.strain(value) for span, value in ratios)
-    unusual = [one for one in found if one.strain < cost - _DOUBT]
+    unusual = [one for one in found if one.strain < cost - _UNIT.gain]
     if weighed and not wrong and (remedies := _sound(unusual, holds)):
         result.append(Check(_UNUSUAL, "; or ".join(remedies), rule=_UNUSUAL))
     return result
@@ -653,7 +703,9 @@ def _sound(remedies: Sequence[_Mended], holds: Callable[[Mapping[str, str]], boo
     """Return the first remedies that help where they are applied."""
     return [
         one.text
-        for one in islice((one for one in remedies if not one.units or holds(one.units)), _NAMED)
+        for one in islice(
+            (one for one in remedies if not one.units or holds(one.units)), _UNIT.named
+        )
     ]
 
 

@@ -409,7 +409,7 @@ CHANNELS = (
 )  # fmt: skip
 
 
-class RatedColumn(NamedTuple):
+class ColumnCandidate(NamedTuple):
     """A name that may serve as a channel, how well it fits, and why."""
 
     column: Column
@@ -419,13 +419,13 @@ class RatedColumn(NamedTuple):
 
 def candidates(
     names: Iterable[str], taken: Collection[str] = ()
-) -> dict[str, tuple[RatedColumn, ...]]:
+) -> dict[str, tuple[ColumnCandidate, ...]]:
     """Return which names may be which channel, the best first, with their units if they say so."""
     every = list(names)
     alias = {name: _lettered(spelled(name, every), every) for name in every}
     others = {*taken, *_quaternions(every)}
     left = [name for name in every if name not in others]
-    found: dict[str, tuple[RatedColumn, ...]] = {}
+    found: dict[str, tuple[ColumnCandidate, ...]] = {}
     for channel in CHANNELS:
         quantity = channel.partition("_")[0]
         quantity = quantity if quantity in ("current", "voltage") else channel
@@ -440,7 +440,7 @@ def candidates(
                 score = min(score, 0.5)  # it says that it is something else
             if score >= 1.0:
                 rated.append(
-                    RatedColumn(Column(field=name, unit=unit, channel=channel), score, why)
+                    ColumnCandidate(Column(field=name, unit=unit, channel=channel), score, why)
                 )
         found[channel] = tuple(sorted(rated, key=lambda one: -one.score))
     return found

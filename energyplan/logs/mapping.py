@@ -200,17 +200,24 @@ def unit_in(channel: str, name: str) -> NamedUnit:
     return NamedUnit(name)
 
 
-_DATE = 1e4  # days after which spreadsheets' dates begin, at least: such a clock may count days
+class ClockLimits(NamedTuple):
+    """What a clock's readings show of its unit."""
+
+    # days after which spreadsheets' dates begin, at least: such a clock may count days
+    date: float = 1e4
+    epoch: tuple[float, float] = (5e8, 4e9)  # seconds since 1970 of recordings
+    rare: float = 2.5  # time from row to row that is rare in a drive's log [s]
 
 
-_EPOCH = (5e8, 4e9)  # seconds since 1970 of recordings
-_RARE = 2.5  # time from row to row that is rare in a drive's log [s]
+_CLOCK = ClockLimits()
+
+
 SHORTEST_STEP, LONGEST_STEP = 2e-5, 20.0  # that which is possible [s]
 
 
 def dated(times: FloatArray) -> bool:
     """Return whether times in seconds are those of a calendar."""
-    return bool(_EPOCH[0] <= np.nanmedian(times) <= _EPOCH[1])
+    return bool(_CLOCK.epoch[0] <= np.nanmedian(times) <= _CLOCK.epoch[1])
 
 
 def time_units(times: FloatArray) -> tuple[str, ...]:
@@ -224,10 +231,10 @@ def time_units(times: FloatArray) -> tuple[str, ...]:
     for name, size in sizes.items():  # gaps between rows of a calendar's time may be long
         if dated(size * times) and step * size <= 3600.0:
             return (name,)
-    if np.nanmedian(times) > _DATE:
+    if np.nanmedian(times) > _CLOCK.date:
         sizes |= {"d": 86400.0}
-    typical = tuple(name for name, size in sizes.items() if 5e-4 <= step * size <= _RARE)[:1]
-    return ("", *typical) if _RARE < step <= LONGEST_STEP else typical or ("",)
+    typical = tuple(name for name, size in sizes.items() if 5e-4 <= step * size <= _CLOCK.rare)[:1]
+    return ("", *typical) if _CLOCK.rare < step <= LONGEST_STEP else typical or ("",)
 
 
 def is_unit(text: str) -> bool:
@@ -243,8 +250,15 @@ TOTAL, SINCE, RATE = "ticks", "ticks/sample", "ticks/s"
 CONSUMED = "consumed"
 """How a counter of energy or charge counts: on and on, in steps that may be seldom."""
 
-_SIZES = (8, 16, 32)  # bits of counters that run over
-_JUMP = 10.0  # times the fastest counting, from which on a counter was set back
+
+class CounterSizes(NamedTuple):
+    """When a counter runs over, or is set back."""
+
+    sizes: tuple[int, int, int] = (8, 16, 32)  # bits of counters that run over
+    jump: float = 10.0  # times the fastest counting, from which on a counter was set back
+
+
+_COUNTER = CounterSizes()
 
 
 def counting(channel: str, unit: str) -> str:
@@ -277,7 +291,7 @@ def _unrolled(counts: FloatArray) -> FloatArray:
     """Count on where a counter ran over."""
     steps = np.abs(np.diff(counts))
     low, high = float(np.min(counts)), float(np.max(counts))
-    for bits in _SIZES:
+    for bits in _COUNTER.sizes:
         whole = 2.0**bits
         inside = (low >= 0 and high < whole) or (low >= -whole / 2 and high < whole / 2)
         if inside:
@@ -297,7 +311,7 @@ def _slopes(t: FloatArray, total: FloatArray) -> FloatArray:
     speed = np.divide(count, step, out=np.zeros(len(step)), where=forward)
     counted = speed[speed > 0]
     fastest = float(np.quantile(counted, 0.9)) if len(counted) else 0.0
-    broken: NDArray[np.bool_] = ~forward | (step > gap_limit(t)) | (speed > _JUMP * fastest)
+    broken: NDArray[np.bool_] = ~forward | (step > gap_limit(t)) | (speed > _COUNTER.jump * fastest)
     edges = [0, *(np.flatnonzero(broken) + 1).tolist(), len(t)]
     return derivative(t, total, [slice(a, b) for a, b in pairwise(edges)], 0.0)
 

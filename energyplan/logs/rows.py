@@ -16,8 +16,16 @@ from energyplan.records import NO_NUMBER
 if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is read
     import pandas as pd
 
-_MOST = 50  # things that a column distinguishes
-_FEWEST = 10  # rows of each of them
+
+class ThingLimits(NamedTuple):
+    """What a column that distinguishes things holds."""
+
+    most: int = 50  # things that a column distinguishes
+    fewest: int = 10  # rows of each of them
+    stamps: int = 20  # rows that show whether a column holds stamps
+
+
+_THINGS_LIMITS = ThingLimits()
 _OF_PARTS = {
     "motor", "wheel", "side", "axle", "axis", "joint", "esc", "vesc", "controller", "driver",
     "drive", "channel", "topic", "node", "can", "battery", "pack", "cell", "sensor", "actuator",
@@ -139,7 +147,7 @@ def _clocks(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
     named = [name for name in names if "t" in guess([name])][:1]
     if named:
         return named
-    head = frame.iloc[:_STAMPED]
+    head = frame.iloc[: _THINGS_LIMITS.stamps]
     stamped = (
         name for name in names
         if numeric(head[name]).isna().all() and np.isfinite(_times(head, name)).all()
@@ -147,14 +155,11 @@ def _clocks(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
     return [*stamped][:1]
 
 
-_STAMPED = 20  # rows that show whether a column holds stamps
-
-
 def _things(frame: pd.DataFrame, names: Sequence[str]) -> _Things | None:
     """Find what distinguishes rows of one time: each of its values stands in rows all along."""
     kinds = frame.nunique()
     times = _clocks(frame, [name for name in names if kinds[name] > 1])
-    if not times or len(frame) < 2 * _FEWEST:
+    if not times or len(frame) < 2 * _THINGS_LIMITS.fewest:
         return None
     t = _times(frame, times[0])
     if not np.isfinite(t).all():
@@ -164,7 +169,11 @@ def _things(frame: pd.DataFrame, names: Sequence[str]) -> _Things | None:
     text = {name: bool(numeric(frame[name]).isna().all()) for name in names}
     # Of several that distinguish the rows, such as a name and its unit, the finest.
     for name in sorted(names, key=lambda name: (not text[name], -kinds[name])):
-        if of_tasks or name in times or not 2 <= kinds[name] <= min(_MOST, len(frame) / _FEWEST):
+        if (
+            of_tasks
+            or name in times
+            or not 2 <= kinds[name] <= min(_THINGS_LIMITS.most, len(frame) / _THINGS_LIMITS.fewest)
+        ):
             continue
         if frame[name].isna().any():
             continue
@@ -174,8 +183,10 @@ def _things(frame: pd.DataFrame, names: Sequence[str]) -> _Things | None:
         ):
             continue
         parts = [np.sort(t[rows]) for rows in frame.groupby(name, sort=False).indices.values()]
-        if all(_all_along(part, typical, whole) for part in parts if len(part) >= _FEWEST) and (
-            sum(len(part) for part in parts if len(part) >= _FEWEST) > 0.9 * len(t)
+        if all(
+            _all_along(part, typical, whole) for part in parts if len(part) >= _THINGS_LIMITS.fewest
+        ) and (
+            sum(len(part) for part in parts if len(part) >= _THINGS_LIMITS.fewest) > 0.9 * len(t)
         ):
             return _Things(name, times[0])
     return None

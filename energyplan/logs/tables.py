@@ -47,7 +47,21 @@ if TYPE_CHECKING:  # pandas is slow to import, and needed only where a file is r
 
 MAX_COLUMNS = 4096
 """Widest table that is read."""
-_MAX_HEADER = 1 << 18  # longest header line that is read [bytes]
+
+
+class ReadingLimits(NamedTuple):
+    """How a table is read."""
+
+    header: int = 1 << 18  # longest header line that is read [bytes]
+    first: int = 64  # bytes that show what a file is
+    stray: float = 0.01  # share of rows that may be cut short
+    steady: float = 0.9  # share of steps in which a clock must increase
+    late: float = 3.0  # steps from row to row within which a clock that started again goes on
+    fewest: int = 20  # readings below which nothing is concluded
+    same: float = 0.7  # correlation from which one reading explains half of another's variance
+
+
+_READING = ReadingLimits()
 _UNNAMED = "unnamed column "  # how a column without a name is called, before its number
 LOOKED_AT = 80  # lines that show how the others are written
 _SEPARATORS = (",", ";", "\t", "|")
@@ -87,9 +101,11 @@ def find_dialect(head: bytes, whole: bool, file: object, error: type[InvalidInpu
             raise error(
                 f"{file}, byte {problem.start + mark} is no UTF-8 text; save it so"
             ) from None
-    ends = [match.end() for match in re.finditer(r"\r\n|\n|\r", text[: _MAX_HEADER * 2])]
-    if (ends[0] if ends else len(text)) > _MAX_HEADER:
-        raise error(f"{file}, line 1 is longer than {_MAX_HEADER >> 10} KiB; it must name columns")
+    ends = [match.end() for match in re.finditer(r"\r\n|\n|\r", text[: _READING.header * 2])]
+    if (ends[0] if ends else len(text)) > _READING.header:
+        raise error(
+            f"{file}, line 1 is longer than {_READING.header >> 10} KiB; it must name columns"
+        )
     starts = [0, *ends][:LOOKED_AT]
     stops = [*ends, len(text)][:LOOKED_AT]
     if not whole and len(starts) > 1 and stops[-1] == len(text):
@@ -617,7 +633,7 @@ def _unwrapped(values: FloatArray) -> FloatArray:
     steps = np.diff(values[known])
     back = steps < 0
     count = np.count_nonzero(back)
-    clock = 0 < count <= len(steps) // _FEWEST and np.mean(steps > 0) > _STEADY
+    clock = 0 < count <= len(steps) // _READING.fewest and np.mean(steps > 0) > _READING.steady
     if not clock or values[known].min() < 0.0:
         return values
     forward = steps[steps > 0]
@@ -625,15 +641,11 @@ def _unwrapped(values: FloatArray) -> FloatArray:
     for period in _PERIODS:
         over = steps[back] + period
         # The last row before may be followed by a row that came late.
-        if values[known].max() <= period and np.all((over > 0) & (over <= _LATE_ROWS * step)):
+        if values[known].max() <= period and np.all((over > 0) & (over <= _READING.late * step)):
             found = values.copy()
             found[known] += period * np.cumsum(np.append(False, back))
             return found
     return values
-
-
-_STEADY = 0.9  # share of steps in which a clock must increase
-_LATE_ROWS = 3.0  # steps from row to row within which a clock that started again goes on
 
 
 MAX_LINE = 1 << 20
@@ -643,8 +655,7 @@ MAX_BYTES = 1 << 31
 MAX_CELLS = 100_000_000
 """Most cells that are read."""
 _most: ContextVar[tuple[int, int]] = ContextVar("most", default=(MAX_BYTES, MAX_CELLS))
-_AHEAD = _MAX_HEADER + (1 << 16)  # bytes that are looked at to learn how a table is written
-_STRAY_ROWS = 0.01  # share of rows that may be cut short
+_AHEAD = _READING.header + (1 << 16)  # bytes that are looked at to learn how a table is written
 _CHUNK = 200_000  # rows parsed at once
 _SUFFIXES = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log", ".gz"), ".csv"),
@@ -718,13 +729,12 @@ _BEGINNINGS = {
     rb"%PDF": "a document; export what it shows as CSV",
 }  # fmt: skip
 """The same by the first bytes, whatever the ending, as regular expressions."""
-_AT_FIRST = 64  # bytes that show what a file is
 
 
 def other_kind(file: Path) -> str:
     """Return what a file is by its first bytes, and what makes a table of it; empty for text."""
     with file.open("rb") as stream:
-        head = stream.read(_AT_FIRST)
+        head = stream.read(_READING.first)
     return next((text for mark, text in _BEGINNINGS.items() if re.match(mark, head, re.S)), "")
 
 
@@ -893,22 +903,18 @@ def _refuse_drives(parts: Sequence[Recording], clocks: Sequence[FloatArray]) -> 
         if not counted and not {"v_left", "v_right"} <= {*found}:
             continue
         series = usable(Series(t, part.columns[(counted or found)["v_left"].field]))
-        if len(series.t) >= _FEWEST:
+        if len(series.t) >= _READING.fewest:
             rate = np.gradient(series.values, series.t) if counted else series.values
             moving.append((part.source, Series(series.t, rate)))
     for (name, one), (other_name, other) in combinations(moving, 2):
         pair = at_common_times(one, other)
-        if len(pair[0]) < _FEWEST or min(map(np.ptp, pair)) == 0.0:
+        if len(pair[0]) < _READING.fewest or min(map(np.ptp, pair)) == 0.0:
             continue
-        if np.corrcoef(*pair)[0, 1] < _SAME:
+        if np.corrcoef(*pair)[0, 1] < _READING.same:
             raise parts[0].error(
                 f"{name} and {other_name} are two drives: each holds the speeds of both sides, and "
                 f"these differ at the same times; name them with a space, as in {name} {other_name}"
             )
-
-
-_FEWEST = 20  # readings below which nothing is concluded
-_SAME = 0.7  # correlation from which one reading explains half of another's variance
 
 
 def table_of(frame: Any, error: type[InvalidInputError]) -> Recording:
@@ -1076,7 +1082,7 @@ def _read_csv(file: Path, error: type[InvalidInputError]) -> Recording:
     one = len(dialect.separator) == 1
     cells = (_cells(data, dialect.separator) if one else np.zeros(0, int))[: columns.rows]
     short = np.flatnonzero((cells > 0) & (cells < dialect.named - 1))
-    if len(short) > max(1.0, _STRAY_ROWS * columns.rows):
+    if len(short) > max(1.0, _READING.stray * columns.rows):
         raise error(
             f"{file}, line {dialect.line + int(short[0])}: the row has fewer cells than the "
             f"{dialect.named} names, and so have {len(short)} of {columns.rows} rows: which cell "

@@ -49,6 +49,8 @@ class Activity:
     place: str  # where; of a drive, from where to where
     soc_start: float  # state of charge before it, as expected
     soc_end: float  # state of charge after it, as expected
+    peak_power: float  # largest power that the battery delivers, as expected [W]
+    peak_current: float  # largest current that it delivers, as expected [A]
 
 
 @dataclass(frozen=True)
@@ -265,7 +267,10 @@ class MissionReport(html.Readable):
             for first, last in spans:
                 place = f"{first.start} to {first.goal}" if kind == "drive" else first.goal
                 soc = float(first.soc[0]), float(last.soc[-1])
-                found.append(Activity(first.departure, last.arrival, kind, place, *soc))
+                within = parts if kind == "wait" else [first]
+                peaks = (max(getattr(part, name) for part in within)
+                         for name in ("peak_power", "peak_current"))  # fmt: skip
+                found.append(Activity(first.departure, last.arrival, kind, place, *soc, *peaks))
         return tuple(found)
 
     @cached_property
@@ -348,7 +353,9 @@ class MissionReport(html.Readable):
         ]  # fmt: skip
         times = [
             (html.clock(one.start), one.kind, one.place, f"{(one.end - one.start) / 60:.1f}",
-             f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %")
+             f"{100 * one.soc_start:.0f} %", f"{100 * one.soc_end:.0f} %",
+             *(html.number(peak, 3) if peak else "-"
+               for peak in (one.peak_power, one.peak_current)))
             for one in self.timetable
         ]  # fmt: skip
         sources = [html.words(one.source) for one in self.uncertainty]
@@ -367,7 +374,7 @@ class MissionReport(html.Readable):
                 "task", "verdict", "reason", "energy [Wh]", "at most [Wh]", "charge after", "remedy"
             ), tasks),
             html.Summary("Timetable", (
-                "time", "what", "where", "minutes", "charge from", "to"
+                "time", "what", "where", "minutes", "charge from", "to", "peak [W]", "peak [A]"
             ), times),
             self._of_chargers,
             html.Summary("Uncertainty of the energy", (

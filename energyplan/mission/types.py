@@ -1123,6 +1123,7 @@ class Mission(ReadOnly, html.Readable):
         time: float | None = None,
         payload: float | None = None,
         model: PowerModel | None = None,
+        rows: Mapping[str, ArrayLike] | None = None,
     ) -> Mission:
         """Return what is left of the mission when it is under way, with `home` where it began.
 
@@ -1138,25 +1139,44 @@ class Mission(ReadOnly, html.Readable):
             Time [s] and payload [kg] now; those at the start, and worked out from the tasks done.
         model : PowerModel, optional
             The model as corrected since the start; models with payload are scaled alike.
+        rows : mapping, optional
+            Poses along what is left of paths that are driven in part, by task. What each metre of
+            them takes on board, or leaves, is on board or gone as far as they are driven.
         """
         require(not self.robots, "the mission has several robots; use resume_robots")
-        names = set(done)
-        unknown = names - {task.name for task in self.tasks}
+        names, begun = set(done), dict(rows or {})
+        paths = {task.name for task in self.tasks if task.path}
+        unknown = (names | begun.keys()) - {task.name for task in self.tasks}
         require(not unknown, f"no task is called {', '.join(sorted(unknown))}")
-        left = tuple(task for task in self.tasks if task.name not in names)
+        still = ", ".join(sorted(begun.keys() - paths))
+        require(not still, f"rows: {still} has no path to be driven in part")
+        left = tuple(
+            replace(task, path=np.asarray(begun[task.name], float), direction="given")  # type: ignore[arg-type]
+            if task.name in begun else task
+            for task in self.tasks if task.name not in names
+        )  # fmt: skip
+        driven = sum(
+            task.payload_per_metre * (task.length - rest.length)
+            for task in self.tasks for rest in left
+            if task.name == rest.name and rest.name in begun
+        )  # fmt: skip
         mission = replace(
             self,
             start=pose,  # type: ignore[arg-type]
             soc=soc,
             tasks=left,
-            payload=self._carried(names) if payload is None else payload,
+            payload=self._carried(names, driven) if payload is None else payload,
             time=self.time if time is None else time,
         )
         return mission if model is None else _corrected(mission, model)
 
-    def _carried(self, done: set[str]) -> float:
-        """Return the payload after some tasks [kg]; they leave no more than was on board."""
-        carried = self.payload + sum(task.change for task in self.tasks if task.name in done)
+    def _carried(self, done: set[str], driven: float = 0.0) -> float:
+        """Return the payload after some tasks [kg]; they leave no more than was on board.
+
+        `driven` is what parts of paths changed it by [kg].
+        """
+        change = sum(task.change for task in self.tasks if task.name in done)
+        carried = self.payload + driven + change
         require(
             carried >= -GRAM,
             f"the tasks that are done leave {-carried:g} kg more than was ever on board; give as "

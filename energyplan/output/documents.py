@@ -13,6 +13,7 @@ from energyplan.io.config import plain_vehicle
 from energyplan.logs.mapping import UNITS
 
 if TYPE_CHECKING:
+    from energyplan.battery import BatteryRun
     from energyplan.comparison import Comparison
     from energyplan.diagnosis import Diagnosis
     from energyplan.diagnosis.design import Design
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 Document = dict[str, Any]
 
 SHOWN = {
+    "BatteryRun": "peak_power peak_current soc_end reason brown_out",
     "Adequacy": "noise residual slow_noise slow_residual coloured time missing adequate",
     "Check": "what value expected ok remedy",
     "Design": "separates manoeuvres sentence",
@@ -168,8 +170,8 @@ def diagnosis(report: Diagnosis) -> Document:
     return {**plain(report), "terms": terms(report.model)}
 
 
-def plan(result: Plan) -> Document:
-    """Return what ``energyplan plan --json`` prints."""
+def plan(result: Plan, run: BatteryRun | None = None) -> Document:
+    """Return what ``energyplan plan --json`` prints; `run` is what it does to a battery."""
     drive = None if result.why_not_driven else result.driven
     driven = {"energy_driven": "energy", "duration": "duration", "speed": "speed",
               "speed_priced": "speed_priced", "breakdown_driven": "breakdown"}  # fmt: skip
@@ -178,6 +180,7 @@ def plan(result: Plan) -> Document:
         "reverse_length": plain(result.path.reverse_length),
         "path": plain(result.path.poses()),
         **{key: plain(getattr(drive, name, None)) for key, name in driven.items()},
+        "battery": plain(run),
         "notes": list(result.all_notes),
         "deprecated": DEPRECATED,
     }
@@ -188,11 +191,13 @@ def no_path(error: NoPathError) -> Document:
     return {"path": None, "reason": str(error), **plain(error)}
 
 
-def comparison(result: Comparison) -> Document:
-    """Return what ``energyplan compare --json`` prints."""
+def comparison(
+    result: Comparison, least: BatteryRun | None = None, shortest: BatteryRun | None = None
+) -> Document:
+    """Return what ``energyplan compare --json`` prints; with what both plans do to a battery."""
     return {
-        "energy_optimal": plan(result.energy_optimal),
-        "shortest": plan(result.shortest),
+        "energy_optimal": plan(result.energy_optimal, least),
+        "shortest": plan(result.shortest, shortest),
         "saving": plain(result.saving),
         "saving_of": "energy_driven" if result.driven else "energy_steady",
     }
@@ -207,10 +212,9 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> Document:
     }
 
 
-def feasibility(report: FeasibilityReport) -> Document:
-    """Return what ``energyplan check --json`` prints."""
-    found: Document = plain(report)
-    return found
+def feasibility(report: FeasibilityReport, run: BatteryRun | None = None) -> Document:
+    """Return what ``energyplan check --json`` prints; `run` is what it does to a battery."""
+    return {**plain(report), "battery": plain(run)}
 
 
 def mission(report: MissionReport, trajectories: bool = False) -> Document:

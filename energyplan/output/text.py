@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from energyplan.battery import BROWN_OUTS
 from energyplan.html import clock, number, unit
 from energyplan.output.documents import occupancy as shares
 from energyplan.output.documents import terms
@@ -16,6 +17,7 @@ GREY = 0.01
 """Share of a map's pixels that may be unknown without a word."""
 
 if TYPE_CHECKING:
+    from energyplan.battery import BatteryRun
     from energyplan.diagnosis.design import Design
     from energyplan.errors import NoPathError
     from energyplan.fit import ICREstimate
@@ -126,7 +128,8 @@ def event(result: Event) -> list[str]:
     if isinstance(result, Reassessed):
         report = result.report
         said = "all tasks are done" if report is None else "; ".join(mission(report))
-        return [f"{result.t:.1f} s: charge {100 * result.soc:.1f} %; {said}"]
+        rows = "".join(f"{name} driven for {far:.1f} m; " for name, far in result.driven.items())
+        return [f"{result.t:.1f} s: charge {100 * result.soc:.1f} %; {rows}{said}"]
     aside = ", ".join(f"{count} x {reason}" for reason, count in result.set_aside.items())
     return [
         f"the end: {result.samples} samples, {result.changes} changes of ground"
@@ -164,6 +167,17 @@ def energy_map(found: EnergyMap, areas: Sequence[Contour]) -> list[str]:
             f"places that take more than {number(found.complete_to, 4)} J were not searched"
         )
     return lines
+
+
+def battery(run: BatteryRun | None, which: str = "") -> list[str]:
+    """Return what a drive does to a battery, in a line; no line without one."""
+    if run is None:
+        return []
+    line = f"at most {number(run.peak_power)} W and {number(run.peak_current)} A"
+    line += f", {100 * run.soc_end:.1f} % of charge left"
+    if run.reason != "none":
+        line += f"; it gives up at {number(run.brown_out)} s: {BROWN_OUTS[run.reason]}"
+    return [f"battery{f', {which}' if which else ''}: {line}"]
 
 
 def mission(report: MissionReport) -> list[str]:

@@ -1,8 +1,8 @@
 """A robot in a physics engine (MuJoCo) that knows nothing of the power model.
 
 `drive` follows a trajectory with a tracking controller, and returns the energy that was taken and
-the energy that a model predicts. `Effect` switches on what the model does not know. `Sensors` makes
-a drive log. `close_loop` plans, drives, diagnoses and plans again. The extra ``physics``
+the energy that a model predicts. `HiddenEffect` switches on what the model does not know. `Sensors`
+makes a drive log. `close_loop` plans, drives, diagnoses and plans again. The extra ``physics``
 installs the engine.
 """
 
@@ -12,9 +12,9 @@ from energyplan.physics.loop import EngineDrives, Loop, Round, close_loop
 from energyplan.physics.robot import (
     EFFECTS,
     Border,
-    Effect,
     EngineGround,
-    Robot,
+    EngineRobot,
+    HiddenEffect,
     draw_effects,
     switch_on,
 )
@@ -23,12 +23,12 @@ __all__ = [
     "EFFECTS",
     "Border",
     "Driven",
-    "Effect",
     "Engine",
     "EngineDrives",
     "EngineGround",
+    "EngineRobot",
+    "HiddenEffect",
     "Loop",
-    "Robot",
     "Round",
     "Run",
     "Sensors",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, fields
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
@@ -16,7 +16,7 @@ from energyplan.limits.drive import Traversal
 from energyplan.logs import DriveLog
 from energyplan.path import FloatArray, Pose, Trajectory, wrap_angle
 from energyplan.physics.engine import PERIOD, Engine, Run, State
-from energyplan.physics.robot import Amount, EngineGround, Positive, Robot
+from energyplan.physics.robot import Amount, EngineGround, EngineRobot, Positive
 from energyplan.power import PowerModel
 from energyplan.records import in_words, record
 from energyplan.terrain import laid_out
@@ -123,16 +123,20 @@ class Sensors:
         return np.abs(power) if self.unsigned else power
 
 
-STRAIGHT = 0.01
-"""Curvature, times half the slip track, up to which a reference counts as straight [1]."""
-AHEAD = 2.0
-"""Distance in which a robot off a straight reference returns to it, in half slip tracks."""
-ALIGNED = 1e-3
-"""Heading that is left of a correction [rad]."""
-QUICK = 10.0
-"""Yaw rate of a correction per heading that is missing [1/s]."""
-LEAST = 0.03
-"""Least tread speed with which the robot turns there [m/s]: the wheels have to break away."""
+class Correction(NamedTuple):
+    """How a robot returns to a straight reference."""
+
+    # curvature, times half the slip track, up to which a reference counts as straight [1]
+    straight: float = 0.01
+    # distance in which a robot off a straight reference returns to it, in half slip tracks
+    ahead: float = 2.0
+    aligned: float = 1e-3  # heading that is left of a correction [rad]
+    quick: float = 10.0  # yaw rate of a correction per heading that is missing [1/s]
+    # least tread speed with which the robot turns there [m/s]: the wheels have to break away
+    least: float = 0.03
+
+
+_CORRECTION = Correction()
 
 
 @record(InvalidInputError, whose="tracking: ")
@@ -178,12 +182,12 @@ class Tracker:
     def _straightening(self, aside: float, turn: float) -> float:
         """Return the yaw rate that brings the robot back to a straight reference [rad/s]."""
         track = self.vehicle.icr.half_track
-        missing = turn + aside / (2 * AHEAD * track)
-        if abs(AHEAD * turn + aside / track) > self.gains.slack and not self._turning:
+        missing = turn + aside / (2 * _CORRECTION.ahead * track)
+        if abs(_CORRECTION.ahead * turn + aside / track) > self.gains.slack and not self._turning:
             self._turning = float(np.sign(missing))
-        if missing * self._turning <= ALIGNED:
+        if missing * self._turning <= _CORRECTION.aligned:
             self._turning = 0.0
-        return self._turning * max(QUICK * abs(missing), LEAST / track)
+        return self._turning * max(_CORRECTION.quick * abs(missing), _CORRECTION.least / track)
 
     def __call__(self, state: State) -> tuple[float, float] | None:
         """Return the tread speeds to reach by the next tick [m/s], or None at the end."""
@@ -197,7 +201,7 @@ class Tracker:
         ahead, aside = c * dx + s * dy, c * dy - s * dx
         turn = float(wrap_angle(np.array(yaw - state.pose.yaw)))
         forward = v * np.cos(turn) + gains.along * ahead
-        if abs(omega) * self.vehicle.icr.half_track > STRAIGHT * abs(v):
+        if abs(omega) * self.vehicle.icr.half_track > _CORRECTION.straight * abs(v):
             self._turning = 0.0
             damped = min(2 * abs(v) * np.sqrt(gains.across), 0.2 / PERIOD)  # at any speed
             heading = max(gains.heading, damped)
@@ -279,7 +283,7 @@ def energy_predicted(
 
 def drive(
     trajectory: Trajectory,
-    robot: Robot,
+    robot: EngineRobot,
     model: PowerModel,
     *,
     ground: EngineGround | None = None,

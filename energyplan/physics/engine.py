@@ -5,8 +5,8 @@ the instantaneous centre of rotation lies anywhere between 0.5 and 1.3 m where 0
 
 - every contact is a spring and damper of its own, in proportion to the wheel's load. The impedance
   is the least that MuJoCo allows, so that the soft constraint adds next to nothing to it: a wheel
-  sinks by `SINK`, whatever its slip; further where a wide stance about a light body would rock
-  faster than the steps can follow, for wheels would hop then;
+  sinks by `_CONTACT.sink`, whatever its slip; further where a wide stance about a light body would
+  rock faster than the steps can follow, for wheels would hop then;
 - the tangential directions have a reference of their own, damped only, and are much stiffer than
   the normal one (``impratio``): a contact sticks, or slides with friction times load;
 - rolling resistance is dry friction of the drive, in proportion to the loads measured at the
@@ -36,7 +36,7 @@ from scipy.linalg import eigh
 
 from energyplan.errors import InvalidInputError, PhysicsError, needs_extra
 from energyplan.path import FloatArray, Pose
-from energyplan.physics.robot import EngineGround, Robot
+from energyplan.physics.robot import EngineGround, EngineRobot
 from energyplan.vehicle import GRAVITY
 
 if TYPE_CHECKING:
@@ -103,12 +103,16 @@ class State:
     v_right: float
 
 
-SERVO = 0.005
-"""Time constant of the velocity servos [s]."""
-RESET = 0.1
-"""Reset time of their integral part [s]."""
-GUESSES = 6
-"""How often a step is done at most until it is right which motors are at their largest force."""
+class ServoSettings(NamedTuple):
+    """The velocity servos."""
+
+    time: float = 0.005  # time constant of the velocity servos [s]
+    reset: float = 0.1  # reset time of their integral part [s]
+    # how often a step is done at most until it is right which motors are at their largest force
+    guesses: int = 6
+
+
+_SERVO = ServoSettings()
 BALANCE = 0.005
 """Share of the work of the motors that may be unaccounted for [1]."""
 
@@ -149,7 +153,7 @@ class Book:
         traction = np.array(robot.traction)
         self._dry = (1 - robot.rolling_share) * traction
         self._rolling = robot.rolling_share * traction / loads
-        self._gain = 0.5 * robot.vehicle.mass / SERVO
+        self._gain = 0.5 * robot.vehicle.mass / _SERVO.time
         self._most = max(robot.vehicle.motor.force, 1e-9)  # with none at all it would turn freely
         self._fade = float(np.exp(-PERIOD / robot.sharing))
         self._centre = engine.loads @ engine.points / engine.loads.sum()
@@ -238,7 +242,7 @@ class Book:
         before, self._target = self._target, command
         error = before - data.qvel[6:]
         most = self._most / self._gain
-        self._integral = np.clip(self._integral + error * (PERIOD / RESET), -most, most)
+        self._integral = np.clip(self._integral + error * (PERIOD / _SERVO.reset), -most, most)
         if command[0] == command[1]:  # straight ahead, or standing: they share the load
             mean = self._integral.mean()
             self._integral = mean + self._fade * (self._integral - mean)
@@ -275,7 +279,7 @@ class Book:
         applied, sides = data.qfrc_applied, (0, 1)
         aims, begun, held = aim.tolist(), before[1][6:].tolist(), self._held
         # Numbers one by one: arrays of two take longer to make than all of this.
-        for guess in range(GUESSES):
+        for guess in range(_SERVO.guesses):
             if guess:
                 for values, former in zip(state, before, strict=True):
                     values[:] = former
@@ -382,20 +386,25 @@ class Book:
         )
 
 
-SINK = 2e-4
-"""How far a wheel sinks in under its own load, unless the robot would rock too fast [m]."""
-REACH = 5.0
-"""Height above the plane up to which a contact is watched, over how far a wheel sinks in [1]."""
-TREAD_SHARE = 1e-3
-"""Share of the robot's mass that each tread has [1]."""
-ROTOR_SHARE = 5e-3
-"""Inertia of each side's wheels and motor, seen at the tread, over the robot's mass [1]."""
-SETTLE = 0.3
-"""Time at standstill before the start, in which the wheels find their loads [s]."""
-_BALL = 0.1  # radius of the spheres that touch the ground [m]; any will do
-_IMPEDANCE = 1e-4  # the least that MuJoCo takes
+class ContactSettings(NamedTuple):
+    """Contacts of the wheels, and masses that turn."""
+
+    # how far a wheel sinks in under its own load, unless the robot would rock too fast [m]
+    sink: float = 2e-4
+    # height above the plane up to which a contact is watched, over how far a wheel sinks in [1]
+    reach: float = 5.0
+    tread_share: float = 1e-3  # share of the robot's mass that each tread has [1]
+    # inertia of each side's wheels and motor, seen at the tread, over the robot's mass [1]
+    rotor_share: float = 5e-3
+    # time at standstill before the start, in which the wheels find their loads [s]
+    settle: float = 0.3
+    ball: float = 0.1  # radius of the spheres that touch the ground [m]; any will do
+    impedance: float = 1e-4  # the least that MuJoCo takes
+    ratio: float = 1e7  # stiffness of the tangential directions over the normal one
+
+
+_CONTACT = ContactSettings()
 _SLIDE = 1.0 / STEP  # damping of the tangential reference: slip ends within a step [1/s]
-_RATIO = 1e7  # stiffness of the tangential directions over the normal one
 
 
 def require_mujoco() -> Any:
@@ -413,7 +422,7 @@ class Engine:
     """A robot on its ground in MuJoCo."""
 
     def __init__(
-        self, robot: Robot, ground: EngineGround | None = None, start: Pose | None = None
+        self, robot: EngineRobot, ground: EngineGround | None = None, start: Pose | None = None
     ) -> None:
         self.mujoco = require_mujoco()
         self.robot, self.ground = robot, ground or EngineGround()
@@ -429,7 +438,7 @@ class Engine:
         length, width = vehicle.footprint[1] - vehicle.footprint[0]
         tall = 2 * robot.centre_height
         self._box = np.array([width**2 + tall**2, length**2 + tall**2, length**2 + width**2]) / 12
-        self.sink = SINK * max(1.0, self._rocking())
+        self.sink = _CONTACT.sink * max(1.0, self._rocking())
         self.model = self._build()
 
     # -- the model --------------------------------------------------------------------------------
@@ -447,32 +456,32 @@ class Engine:
         robot, vehicle = self.robot, self.robot.vehicle
         mass = vehicle.mass
         centre = np.append(self.loads @ self.points / self.loads.sum(), robot.centre_height)
-        tread = TREAD_SHARE * mass
+        tread = _CONTACT.tread_share * mass
         body = mass - 2 * tread
-        box, reach = self._box, REACH * self.sink
+        box, reach = self._box, _CONTACT.reach * self.sink
         treads = []
         for side, wheels in enumerate(np.split(np.arange(len(self.loads)), [self.left])):
             spheres = "".join(
-                f'<geom name="wheel{k}" type="sphere" size="{_BALL}" mass="0" contype="0" '
-                f'conaffinity="0" pos="{self.points[k, 0]} {self.points[k, 1]} {_BALL}"/>'
+                f'<geom name="wheel{k}" type="sphere" size="{_CONTACT.ball}" mass="0" contype="0" '
+                f'conaffinity="0" pos="{self.points[k, 0]} {self.points[k, 1]} {_CONTACT.ball}"/>'
                 for k in wheels
             )
             # The armature is that of the wheels, and what the tread's own mass takes off.
             treads.append(
                 f'<body name="tread{side}"><joint name="tread{side}" type="slide" axis="-1 0 0" '
                 f'frictionloss="1" damping="{robot.viscous}" '
-                f'armature="{ROTOR_SHARE * mass + tread}" '
+                f'armature="{_CONTACT.rotor_share * mass + tread}" '
                 f'solreffriction="{2 * STEP} 1" solimpfriction="0.99 0.99 0.01 0.5 1"/>'
                 f'<inertial pos="{_words(centre)}" mass="{tread}" '
                 f'diaginertia="{_words(tread * box)}"/>{spheres}</body>'
             )
         pairs = [
             f'<pair geom1="ground" geom2="wheel{k}" condim="3" margin="{reach}" gap="0" '
-            f'friction="1 1 0 0 0" solimp="{_IMPEDANCE} {_IMPEDANCE} 1 0.5 1"/>'
+            f'friction="1 1 0 0 0" solimp="{_CONTACT.impedance} {_CONTACT.impedance} 1 0.5 1"/>'
             for k in range(len(self.loads))
         ]
         text = (
-            f'<mujoco><option timestep="{STEP}" cone="elliptic" impratio="{_RATIO}" '
+            f'<mujoco><option timestep="{STEP}" cone="elliptic" impratio="{_CONTACT.ratio}" '
             'solver="Newton" iterations="50" tolerance="1e-12"><flag eulerdamp="disable"/></option>'
             "<worldbody>"
             '<geom name="ground" type="plane" size="1 1 1" contype="0" conaffinity="0"/>'
@@ -483,13 +492,13 @@ class Engine:
         )
         model = self.mujoco.MjModel.from_xml_string(text)
         springs = self.loads / self.sink
-        dampers = 2 * np.sqrt(SINK / GRAVITY) * springs  # critical for the fastest motion
+        dampers = 2 * np.sqrt(_CONTACT.sink / GRAVITY) * springs  # critical for the fastest motion
         # MuJoCo scales a contact's reference by its impedance and its force by the inertia there.
         yields = np.repeat(model.body_invweight0[2:, 0], (self.left, len(self.loads) - self.left))
-        weight = _IMPEDANCE / ((1 - _IMPEDANCE) * yields)
-        model.pair_solref[:, 0] = -springs / weight * _IMPEDANCE
-        model.pair_solref[:, 1] = -dampers / weight * _IMPEDANCE
-        model.pair_solreffriction[:] = (0.0, -_SLIDE * _IMPEDANCE)
+        weight = _CONTACT.impedance / ((1 - _CONTACT.impedance) * yields)
+        model.pair_solref[:, 0] = -springs / weight * _CONTACT.impedance
+        model.pair_solref[:, 1] = -dampers / weight * _CONTACT.impedance
+        model.pair_solreffriction[:] = (0.0, -_SLIDE * _CONTACT.impedance)
         return model
 
     # -- driving ----------------------------------------------------------------------------------
@@ -500,8 +509,8 @@ class Engine:
         data.qpos[:2] = self.start[:2]
         data.qpos[3:7] = (np.cos(self.start.yaw / 2), 0.0, 0.0, np.sin(self.start.yaw / 2))
         book = Book(self, data)
-        for _ in range(round(SETTLE / (PERIOD))):
-            book.tick(np.zeros(2), -SETTLE)
+        for _ in range(round(_CONTACT.settle / (PERIOD))):
+            book.tick(np.zeros(2), -_CONTACT.settle)
         book.open()
         while (command := controller(book.state())) is not None:
             if book.t >= longest:

@@ -29,15 +29,29 @@ from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory
 from energyplan.physics.driving import Driven, Sensors, drive, energy_predicted
 from energyplan.physics.engine import require_mujoco
-from energyplan.physics.robot import EngineGround, Robot
+from energyplan.physics.robot import EngineGround, EngineRobot
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.power import PowerModel
 from energyplan.power.effects import reads_slope, with_weight
 from energyplan.terrain import HeightMap
 from energyplan.vehicle import TreadICR, Vehicle
 
-ALIKE = 0.02
-"""How far tread ICRs may differ for controllers to steer alike, over half the slip track [1]."""
+
+class LoopLimits(NamedTuple):
+    """What a drive is learned from, and judged by."""
+
+    # how far tread ICRs may differ for controllers to steer alike, over half the slip track [1]
+    alike: float = 0.02
+    shortest: float = 16.0  # shortest drive that diagnosis learns from [s]
+    # driving in which effects are looked for; less cannot be parted into learning and judging [s]
+    diagnosed: float = 40.0
+    # probability from which an explanation counts where the next drive is designed
+    likely: float = 0.02
+    # width of an interval over its energy beyond which being within it proves nothing
+    sharp: float = 0.1
+
+
+_LIMITS = LoopLimits()
 
 
 def replayed_energy(model: PowerModel, log: DriveLog) -> float:
@@ -72,7 +86,7 @@ def ratio(
     predicted = predicted_energy(
         drive.reference, replace(priced, cost=replace(priced.cost, model=as_steered))
     )
-    if np.abs(shift).max() > ALIKE * icr.half_track:
+    if np.abs(shift).max() > _LIMITS.alike * icr.half_track:
         on_slopes = model if heights is None else with_weight(model)
         with suppress(MissingChannelError):  # a sensor less than the model asks for
             predicted = replayed_energy(on_slopes, drive.log)
@@ -92,14 +106,6 @@ def with_interval(
     with suppress(MissingChannelError):
         return run.energy(model, Drive.at(motion, True), LEVEL, energy, weights)
     return None
-
-
-SHORTEST = 16.0
-"""Shortest drive that diagnosis learns from [s]."""
-DIAGNOSED = 40.0
-"""Driving in which effects are looked for; less cannot be parted into learning and judging [s]."""
-LIKELY = 0.02
-"""Probability from which an explanation counts where the next drive is designed."""
 
 
 @dataclass(frozen=True)
@@ -130,9 +136,9 @@ def learn(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
 
 
 def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
-    long = [log for log in logs if log.duration >= SHORTEST]
+    long = [log for log in logs if log.duration >= _LIMITS.shortest]
     total = sum(log.duration for log in long)
-    if total < DIAGNOSED:
+    if total < _LIMITS.diagnosed:
         model = identify(logs, vehicle, method="huber").model
         note = (
             f"{total:.0f} s of driving are too short to look for effects; "
@@ -148,7 +154,7 @@ def _learned(logs: Sequence[DriveLog], vehicle: Vehicle) -> LearnedModel:
         )  # fmt: skip
     found = tuple(LearnedEffect(e.name, e.value, e.std_error, e.unit) for e in outcome.effects)
     most = outcome.explanations[0].probability
-    likely = [e for e in outcome.explanations if e.probability > LIKELY * most]
+    likely = [e for e in outcome.explanations if e.probability > _LIMITS.likely * most]
     return LearnedModel(outcome.model, found, tuple(map(_explanation, likely)))
 
 
@@ -160,8 +166,6 @@ def _explanation(found: result.Explanation) -> Hypothesis:
 
 SPEED_SHARE = 0.6
 """Share of the largest tread speed at which a vehicle without a default is driven."""
-SHARP = 0.1
-"""Width of an interval over its energy beyond which being within it proves nothing."""
 Progress = Callable[[float, str], None]
 
 
@@ -199,7 +203,10 @@ class Round:
         if self.energy_interval is None:
             return False
         low, high = self.energy_interval
-        return high - low <= SHARP * self.energy_predicted and low <= self.energy_measured <= high
+        return (
+            high - low <= _LIMITS.sharp * self.energy_predicted
+            and low <= self.energy_measured <= high
+        )
 
 
 @dataclass(frozen=True)
@@ -253,7 +260,7 @@ class Loop(html.Readable):
 class EngineDrives:
     """Drives in the engine: each round's route, followed by the tracking controller."""
 
-    robot: Robot  # what is true
+    robot: EngineRobot  # what is true
     ground: EngineGround | None = None  # the true ground
     sensors: Sensors | None = None  # how drives are recorded
 
@@ -277,6 +284,33 @@ Source = EngineDrives | Sequence[DriveLog]
 
 
 # -- the loop -------------------------------------------------------------------------------------
+
+
+class PredictedDrive(NamedTuple):
+    """What a model says of a drive before it learns from it."""
+
+    energy: float  # [J]
+    motion: Motion
+    weights: FloatArray  # time of each row of the motion [s]
+    known: list[float]  # measured over predicted energy of the drives before
+
+    @classmethod
+    def of_log(cls, model: PowerModel, log: DriveLog, before: Sequence[DriveLog]) -> PredictedDrive:
+        """Replay a log, and those before it."""
+        prepared = Drive.of(log, model.vehicle)
+        known = [one.energy / replayed_energy(model, one) for one in before]
+        return cls(replayed_energy(model, log), prepared.motion, prepared.weights, known)
+
+    def judged(
+        self, planned: Plan, model: PowerModel, log: DriveLog, driven: Driven | None, learned: bool
+    ) -> Round:
+        """Return the round; drives before it count where the model has learned from them."""
+        beyond = RunEffect.of(self.known if learned else (), model.residual)
+        interval = with_interval(self.energy, beyond, model, self.motion, self.weights)
+        return Round(
+            self.energy * (1.0 + beyond.mean), None if interval is None else interval[1:],
+            log.energy, planned, model, (), log, driven, overhead=beyond.mean,
+        )  # fmt: skip
 
 
 def close_loop(
@@ -320,25 +354,17 @@ def close_loop(
         if isinstance(source, EngineDrives):
             driven = source(trajectory, priced.cost.model, k + 1)
             log = source.log(driven, k + 1)
-            energy = predicted_energy(trajectory, priced)
-            motion = _followed(trajectory, model, problem.heights)
-            weights = np.diff(trajectory.t)
             known = [ratio(one, model, priced, problem.heights) for one in steered]
+            motion = _followed(trajectory, model, problem.heights)
+            predicted = PredictedDrive(
+                predicted_energy(trajectory, priced), motion, np.diff(trajectory.t), known
+            )
             steered.append(Steered(trajectory, log, model.vehicle.icr))
         else:
             log = source[k]
-            prepared = Drive.of(log, model.vehicle)
-            motion, weights = prepared.motion, prepared.weights
-            energy = replayed_energy(model, log)
-            known = [one.energy / replayed_energy(model, one) for one in logs]
-        # Only of a model that has learned from them do drives say how it fares with the next.
-        beyond = RunEffect.of(known if model is not problem.cost.model else (), model.residual)
-        interval = with_interval(energy, beyond, model, motion, weights)
+            predicted = PredictedDrive.of_log(model, log, logs)
         logs.append(log)
-        now = Round(
-            energy * (1.0 + beyond.mean), None if interval is None else interval[1:], log.energy,
-            planned, model, (), log, driven, overhead=beyond.mean,
-        )  # fmt: skip
+        now = predicted.judged(planned, model, log, driven, model is not problem.cost.model)
         if now.within or abs(now.error) <= tolerance:
             return Loop((*done, now), model, True)
         report((k + 0.6) / count, f"round {k + 1}: diagnosing")

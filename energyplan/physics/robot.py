@@ -51,7 +51,7 @@ Share = Annotated[Scalar, Within((0, 1), (0, 1))]
 
 
 @record(InvalidInputError, whose="")
-class Robot:
+class EngineRobot:
     """A skid-steer robot as the engine knows it: wheels, Coulomb friction, two motors."""
 
     vehicle: Vehicle  # contacts, loads, footprint (for the inertia), motor limits
@@ -91,7 +91,7 @@ class Robot:
         return 0.35 * float(np.ptp(self.vehicle.contacts[:, 0]))
 
     @classmethod
-    def from_model(cls, model: PowerModel) -> Robot:
+    def from_model(cls, model: PowerModel) -> EngineRobot:
         """Return the robot that a power model describes."""
         model = model.battery_side()
         for name in ("slip_friction", "traction_resistance"):
@@ -142,7 +142,7 @@ class EngineGround:
     surfaces: SurfaceMap | None = None  # surfaces
     heights: HeightMap | None = None  # heights of the ground
 
-    def grip(self, robot: Robot, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def grip(self, robot: EngineRobot, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return friction [1] and a factor on the traction resistance [1] at points (n, 2)."""
         friction = np.full(len(points), robot.friction)
         factor = np.ones(len(points))
@@ -161,7 +161,7 @@ class EngineGround:
                 factor[there] += robot.border.traction / mean
         return np.maximum(friction, 1e-3), np.maximum(factor, 0.0)
 
-    def gradient(self, robot: Robot, x: float, y: float) -> FloatArray:
+    def gradient(self, robot: EngineRobot, x: float, y: float) -> FloatArray:
         """Return the gradient of the ground at a point, shape (2,) [1]."""
         steep = np.array(robot.tilt)
         if self.heights is not None:
@@ -173,19 +173,19 @@ FULL_EFFORT = 0.5
 """Tread speed [m/s] at which the sizes of drawn effects are compared with the resistance."""
 
 
-_Apply = Callable[[Robot, float, Mapping[str, float]], Robot]
-_Draw = Callable[[Robot, np.random.Generator], float]
+_Apply = Callable[[EngineRobot, float, Mapping[str, float]], EngineRobot]
+_Draw = Callable[[EngineRobot, np.random.Generator], float]
 
 
 def _drags(left: float, right: float) -> _Apply:
-    def apply(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+    def apply(robot: EngineRobot, size: float, details: Mapping[str, float]) -> EngineRobot:
         here = robot.traction
         return replace(robot, traction=(here[0] + left * size, here[1] + right * size))
 
     return apply
 
 
-def _tilts(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+def _tilts(robot: EngineRobot, size: float, details: Mapping[str, float]) -> EngineRobot:
     direction, steep = details.get("direction", 0.0), float(np.tan(size))
     x, y = robot.tilt
     return replace(
@@ -193,14 +193,14 @@ def _tilts(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
     )  # fmt: skip
 
 
-def _shifts(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+def _shifts(robot: EngineRobot, size: float, details: Mapping[str, float]) -> EngineRobot:
     vehicle, direction = robot.vehicle, details.get("direction", 0.0)
     centre = vehicle.loads @ vehicle.contacts / vehicle.loads.sum()
     moved = centre + size * np.array([np.cos(direction), np.sin(direction)])
     return replace(robot, vehicle=vehicle.with_mass(vehicle.mass, moved))
 
 
-def _loads(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+def _loads(robot: EngineRobot, size: float, details: Mapping[str, float]) -> EngineRobot:
     vehicle = robot.vehicle
     factor = (vehicle.mass + size) / vehicle.mass
     if factor <= 0:
@@ -218,12 +218,12 @@ def _loads(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
     )
 
 
-def _warms(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+def _warms(robot: EngineRobot, size: float, details: Mapping[str, float]) -> EngineRobot:
     tau = details.get("time_constant", robot.warm_up_time)
     return replace(robot, warm_up=robot.warm_up + size, warm_up_time=tau)
 
 
-def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
+def _borders(robot: EngineRobot, size: float, details: Mapping[str, float]) -> EngineRobot:
     # The rolling resistance changes in proportion to the friction.
     traction = size / robot.friction * float(np.mean(robot.traction))
     place = Border(
@@ -238,28 +238,30 @@ def _borders(robot: Robot, size: float, details: Mapping[str, float]) -> Robot:
 class EffectKind:
     """A kind of effect."""
 
-    apply: _Apply | str  # ``apply(robot, size, details) -> Robot``, or the value that grows by it
+    apply: _Apply | str  # from robot, size and details to a robot, or the value that grows by it
     unit: str  # unit of the size
     meaning: str  # one line
     draw: _Draw  # ``draw(robot, rng) -> float``, a size large enough to find
     details: tuple[str, ...] = ()  # further numbers that it takes
 
 
-def _resistance(robot: Robot) -> float:
+def _resistance(robot: EngineRobot) -> float:
     return float(np.mean(robot.traction)) or 0.05 * robot.vehicle.mass * GRAVITY / 2
 
 
-def _times(low: float, high: float, scale: Callable[[Robot], float], sign: bool = False) -> _Draw:
+def _times(
+    low: float, high: float, scale: Callable[[EngineRobot], float], sign: bool = False
+) -> _Draw:
     """Return a draw between two multiples of a scale, of either sign where `sign` is set."""
 
-    def draw(robot: Robot, rng: np.random.Generator) -> float:
+    def draw(robot: EngineRobot, rng: np.random.Generator) -> float:
         size = rng.uniform(low, high) * scale(robot)
         return float(size if not sign or rng.random() < 0.5 else -size)
 
     return draw
 
 
-def _one(robot: Robot) -> float:
+def _one(robot: EngineRobot) -> float:
     return 1.0
 
 
@@ -331,7 +333,7 @@ EFFECTS: Mapping[str, EffectKind] = MappingProxyType(_EFFECTS)
 
 
 @dataclass(frozen=True)
-class Effect(ReadOnly):
+class HiddenEffect(ReadOnly):
     """An effect that the engine can switch on, and its size."""
 
     name: str  # one of `EFFECTS`
@@ -350,7 +352,7 @@ class Effect(ReadOnly):
             raise InvalidInputError(f"the effect {self.name} = {self.size} is not a finite number")
         object.__setattr__(self, "details", MappingProxyType(values))
 
-    def on(self, robot: Robot) -> Robot:
+    def on(self, robot: EngineRobot) -> EngineRobot:
         """Return a robot with this effect switched on."""
         apply = _EFFECTS[self.name].apply
         if isinstance(apply, str):
@@ -359,7 +361,7 @@ class Effect(ReadOnly):
         return apply(robot, self.size, self.details)
 
     @classmethod
-    def parse(cls, text: str) -> Effect:
+    def parse(cls, text: str) -> HiddenEffect:
         """Return the effect that ``NAME=SIZE`` or ``NAME=SIZE,DETAIL=VALUE`` stands for."""
         try:
             pairs = [part.split("=") for part in text.split(",")]
@@ -373,7 +375,7 @@ class Effect(ReadOnly):
         return cls(name, size, dict(rest))
 
 
-def switch_on(robot: Robot, effects: Iterable[Effect]) -> Robot:
+def switch_on(robot: EngineRobot, effects: Iterable[HiddenEffect]) -> EngineRobot:
     """Return a robot with effects switched on, one after the other."""
     for effect in effects:
         robot = effect.on(robot)
@@ -381,12 +383,12 @@ def switch_on(robot: Robot, effects: Iterable[Effect]) -> Robot:
 
 
 def draw_effects(
-    robot: Robot,
+    robot: EngineRobot,
     seed: int,
     count: int | None = None,
     names: tuple[str, ...] | None = None,
     around: ArrayLike = (0.0, 0.0),
-) -> tuple[Effect, ...]:
+) -> tuple[HiddenEffect, ...]:
     """Draw hidden effects."""
     rng = np.random.default_rng([seed, 0x5EED])
     number = int(rng.integers(1, 3)) if count is None else count
@@ -402,5 +404,5 @@ def draw_effects(
             details["offset"] = float(np.dot(around, [np.cos(angle), np.sin(angle)]))
         if "time_constant" in kind.details:
             details["time_constant"] = float(rng.uniform(20.0, 60.0))
-        drawn.append(Effect(name, kind.draw(robot, rng), details))
+        drawn.append(HiddenEffect(name, kind.draw(robot, rng), details))
     return tuple(drawn)

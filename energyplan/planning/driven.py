@@ -22,7 +22,7 @@ from energyplan.limits.speed import corner_rounding, profile
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Path, Trajectory
 from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.space.prices import Prices
+from energyplan.planning.space.prices import Prices, remembered
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, OccupancyGrid, SurfaceMap
 from energyplan.vehicle import Vehicle
@@ -252,7 +252,14 @@ def _driven_rates(problem: PlanningProblem) -> DrivenRates | None:
             time or np.any(known[0]) or not all(cost.same_at_any_speed for cost in costs)
         ):
             return None
-    rates = [cost.driven_rates(energy, prices.of_time(k)) for k, cost in enumerate(costs)]
+    rates = []
+    for k, cost in enumerate(costs):
+        weighed = energy, prices.of_time(k)
+        make = partial(cost.driven_rates, *weighed)
+        found = remembered(cost, None, ("drives", *weighed), make)
+        if found is None:
+            return None
+        rates.append(found)
     share, still, quickest = zip(*rates, strict=True)
     return DrivenRates(min(share), min(still), max(quickest))
 

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
+from itertools import pairwise
 from math import inf
+from operator import add
 from typing import Any, NamedTuple
 
 import networkx as nx
@@ -31,12 +33,15 @@ from energyplan.errors import (
     StartInCollisionError,
     TimeLimitError,
 )
-from energyplan.path import FloatArray, Path, Pose, point_ahead, wrap_angle
+from energyplan.path import ROUNDING, FloatArray, Path, Pose, point_ahead, wrap_angle
 from energyplan.planning.budget import Budget
+from energyplan.planning.goal import Goal
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.search import planner as lattice
+from energyplan.planning.search.lattice import joined
 from energyplan.planning.search.planner import compile_planning
-from energyplan.planning.space.compiled import compiled
+from energyplan.planning.several import least_costs
+from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.planning.space.prices import Prices
 from energyplan.records import NO_NUMBER
 from energyplan.terrain import SurfaceMap, path_price
@@ -45,6 +50,8 @@ Graph = Any
 """A networkx graph of any kind, directed or not; its nodes carry ``pos`` or ``x`` and ``y`` [m]."""
 
 EFFORT = 4000  # units of work for each edge that is planned among obstacles
+
+_HEADINGS = 36  # headings at which a route may pass a place of a planned graph
 
 _RADII = np.linspace(0.0, 1.0, 9)
 """Radii at which a rounded corner is priced, as fractions of the largest."""
@@ -295,15 +302,15 @@ def _both_lines(
 def _cheapest(
     states: nx.DiGraph[DrivenEdge],
     source: Hashable,
-    target: Hashable,
+    targets: Sequence[Hashable],
     leave: Callable[[DrivenEdge], float],
     arrive: Callable[[DrivenEdge], float],
 ) -> list[DrivenEdge]:
-    """Return the cheapest states from one node to another; none if nothing joins them."""
+    """Return the cheapest states from one node to one of others; none if nothing joins them."""
     # two more states for the ends, taken out again whatever happens
-    begin, end = DrivenEdge(source, source, "start", 0), DrivenEdge(target, target, "goal", 0)
+    begin, end = DrivenEdge(source, source, "start", 0), DrivenEdge(source, source, "goal", 0)
     first = [(begin, state, leave(state)) for state in states if state.source == source]
-    last = [(state, end, arrive(state)) for state in states if state.target == target]
+    last = [(state, end, arrive(state)) for state in states if state.target in targets]
     try:
         states.add_weighted_edges_from([*first, *last])
         return list(nx.dijkstra_path(states, begin, end)[1:-1])
@@ -313,10 +320,32 @@ def _cheapest(
         states.remove_nodes_from([begin, end])
 
 
-def _check_nodes(graph: Graph, *nodes: Hashable) -> None:
-    for node in nodes:
-        if node not in graph:
-            raise InvalidInputError(f"node {node!r} is not in the graph")
+def _targets(graph: Graph, source: Hashable, target: Any) -> list[Hashable]:
+    """Return the nodes of which a route is to reach one: a list of nodes, or a single one."""
+    targets = list(target) if isinstance(target, list) else [target]
+    if not targets:
+        raise InvalidInputError("the route has no target; give a node, or a list of nodes")
+    for node in (source, *targets):
+        try:
+            known = node in graph
+        except TypeError:  # no hashable value, so no node
+            known = False
+        if not known:
+            raise InvalidInputError(
+                f"node {node!r} is not in the graph; routes lead from node to node, to other "
+                "places, poses and circles a plan does"
+            )
+    return targets
+
+
+def _end_yaws(
+    name: str, place: tuple[float, float], yaw: float | None, heading: str
+) -> tuple[float, ...]:
+    """Return the yaws that a route may begin or end with [rad]; none where all are allowed."""
+    try:
+        return Goal(*place, yaw, heading).headings
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{name} of the route: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -362,41 +391,62 @@ class Roadmap:
         (ax, ay), (bx, by) = self._places[state.source], self._places[state.target]
         return float(np.arctan2(by - ay, bx - ax)) + (0.0 if state.gear > 0 else np.pi)
 
-    def _spin(self, node: Hashable, before: float | None, after: float | None) -> float:
-        """Return the price of turning on the spot at a node; nothing where a yaw is free."""
-        turn = 0.0 if before is None or after is None else float(wrap_angle(after - before))
+    def _spin(self, node: Hashable, before: float, after: float) -> float:
+        """Return the price of turning on the spot at a node."""
+        turn = float(wrap_angle(after - before))
         region = int(self._prices.class_at(self._places[node]))
-        yaw = 0.0 if before is None else before
-        return float(self._prices.turning(0.0, turn, region, yaw))
+        return float(self._prices.turning(0.0, turn, region, before))
+
+    def _least_spin(
+        self, node: Hashable, yaws: Sequence[float], yaw: float, *, leaving: bool
+    ) -> tuple[float, float]:
+        """Return the least price of turning from one of some yaws, or to one, and that yaw."""
+        return min(
+            ((self._spin(node, *((one, yaw) if leaving else (yaw, one))), one) for one in yaws),
+            default=(0.0, yaw),
+        )
 
     def route(
         self,
         source: Hashable,
-        target: Hashable,
+        target: Any,
         *,
         start_yaw: float | None = None,
         goal_yaw: float | None = None,
+        start_heading: str = "",
+        goal_heading: str = "",
     ) -> Route:
-        """Return the route between two nodes whose objective is least."""
-        _check_nodes(self.graph, source, target)
+        """Return the route from one node to another, or to one of a list, whose objective is least.
+
+        At both ends a yaw may be given [rad], and its heading as in `Goal`: ``"given"``,
+        ``"either"`` for it or its opposite, or ``"any"``, which it is without a yaw.
+        """
+        targets = _targets(self.graph, source, target)
+        first = _end_yaws("the start", self._places[source], start_yaw, start_heading)
+        last = _end_yaws("the goal", self._places[targets[0]], goal_yaw, goal_heading)
         states: list[DrivenEdge] = []
-        if source != target:
+        if source not in targets:
             known = self.states
-            states = _cheapest(
-                known, source, target,
-                lambda s: self._spin(source, start_yaw, self._yaw(s)) + known.nodes[s]["cost"],
-                lambda s: self._spin(target, self._yaw(s), goal_yaw),
-            )  # fmt: skip
+
+            def leave(state: DrivenEdge) -> float:
+                spin = self._least_spin(source, first, self._yaw(state), leaving=True)[0]
+                return spin + float(known.nodes[state]["cost"])
+
+            def arrive(state: DrivenEdge) -> float:
+                return self._least_spin(state.target, last, self._yaw(state), leaving=False)[0]
+
+            states = _cheapest(known, source, targets, leave, arrive)
             if not states:
-                raise NoPathError(self._nearest(source, target))
-        path = self._drive(source, states, start_yaw, goal_yaw)
+                raise NoPathError(self._nearest(source, targets))
+        path = self._drive(source, states, first, last)
         nodes = (source, *(state.target for state in states))
         price = path_price(path, self.cost, self.surfaces)
         value = self._prices.value(price.energy, path.length, price.duration) + price.seconds
         return Route(nodes, tuple(states), path, price.energy, value)
 
-    def _nearest(self, source: Hashable, target: Hashable) -> str:
-        """Return how near to the target one gets, in words."""
+    def _nearest(self, source: Hashable, targets: Sequence[Hashable]) -> str:
+        """Return how near to the first target one gets, in words."""
+        target = targets[0]
         first = [state for state in self.states if state.source == source]
         after = nx.multi_source_dijkstra_path_length(self.states, first) if first else {}
         goal = np.array(self._places[target])
@@ -405,25 +455,30 @@ class Roadmap:
             for k, node in enumerate([source, *dict.fromkeys(s.target for s in after)])
         )[::2]
         (sx, sy), (gx, gy), (x, y) = self._places[source], goal, self._places[near]
+        others = f" or any of {len(targets) - 1} other nodes" * (len(targets) > 1)
         return (
             f"no route leads from {source!r} at ({sx:.2f}, {sy:.2f}) to {target!r} at ({gx:.2f}, "
-            f"{gy:.2f}); the nearest node that is reached is {near!r} at ({x:.2f}, {y:.2f}), "
-            f"{gap:.2f} m from there"
+            f"{gy:.2f}){others}; the nearest node that is reached is {near!r} at ({x:.2f}, "
+            f"{y:.2f}), {gap:.2f} m from there"
         )
 
     def _drive(
         self,
         source: Hashable,
         sequence: Sequence[DrivenEdge],
-        start_yaw: float | None,
-        goal_yaw: float | None,
+        first_yaws: Sequence[float],
+        last_yaws: Sequence[float],
     ) -> Path:
         """Return the motions of a sequence of states, spins and arcs at its nodes included."""
         lon = self.cost.icr.longitudinal
         x, y = self._places[source]
-        first = self._yaw(sequence[0]) if sequence else goal_yaw
-        first = (start_yaw or 0.0) if first is None else first
-        start_yaw = first if start_yaw is None else start_yaw
+        if sequence:
+            first = self._yaw(sequence[0])
+            start_yaw = self._least_spin(source, first_yaws, first, leaving=True)[1]
+        else:
+            turns = [(self._spin(source, one, two), one, two)
+                     for one in first_yaws or last_yaws for two in last_yaws or [one]]  # fmt: skip
+            _, start_yaw, first = min(turns, default=(0.0, 0.0, 0.0))
         start_x, start_y = point_ahead((x, y, start_yaw), -lon).tolist()
         moves = [(0.0, float(wrap_angle(first - start_yaw)))]
         yaw, cut = first, 0.0
@@ -442,8 +497,9 @@ class Roadmap:
                 (state.gear * radius * abs(turn), turn),
             ]
             yaw = self._yaw(ahead)
-        if goal_yaw is not None:
-            moves.append((0.0, float(wrap_angle(goal_yaw - yaw))))
+        if sequence:
+            end = self._least_spin(sequence[-1].target, last_yaws, yaw, leaving=False)[1]
+            moves.append((0.0, float(wrap_angle(end - yaw))))
         ds, dtheta = np.array(moves).T
         keep = np.hypot(ds, dtheta) > 1e-12
         return Path(Pose(start_x, start_y, start_yaw), ds[keep], dtheta[keep], lon)
@@ -466,29 +522,148 @@ class PlannedGraph:
     energies: dict[DrivenEdge, float]  # what that takes [J]
     turns: dict[tuple[DrivenEdge, DrivenEdge], float]  # [J]
     closed: tuple[ClosedEdge, ...]  # the edges that no path was found for
+    problem: PlanningProblem  # whose robot, ground and objective hold
 
-    def route(self, source: Hashable, target: Hashable) -> Path:
-        """Return the path of least energy along planned edges, turns at the places included."""
-        _check_nodes(self.graph, source, target)
-        if source == target:
+    def route(
+        self,
+        source: Hashable,
+        target: Any,
+        *,
+        start_yaw: float | None = None,
+        goal_yaw: float | None = None,
+        start_heading: str = "",
+        goal_heading: str = "",
+    ) -> Path:
+        """Return the path of least energy along planned edges to a node, or to one of a list.
+
+        Yaws and headings at the ends are as in `Roadmap.route`. The edges are those whose energies
+        and turns on the spot add up to the least. Along them the robot passes each place at the
+        heading that takes least: exact motions replace an edge and its turns where these are free
+        and take less.
+        """
+        targets = _targets(self.graph, source, target)
+        if source in targets:
             raise InvalidInputError(f"the route from {source!r} leads to itself; give two places")
+        place = positions(self.graph)
+        first = _end_yaws("the start", place[source], start_yaw, start_heading)
+        last = _end_yaws("the goal", place[targets[0]], goal_yaw, goal_heading)
         states: nx.DiGraph[DrivenEdge] = nx.DiGraph()
         states.add_nodes_from(self.energies)
         for (here, ahead), energy in self.turns.items():
             states.add_edge(here, ahead, weight=energy + self.energies[ahead])
-        found = _cheapest(states, source, target, self.energies.__getitem__, lambda _: 0.0)
+
+        def leave(state: DrivenEdge) -> float:
+            turn = _least_turn(self.problem, self.paths[state].start, first)
+            return self.energies[state] + turn
+
+        def arrive(state: DrivenEdge) -> float:
+            return _least_turn(self.problem, self.paths[state].end, last)
+
+        found = _cheapest(states, source, targets, leave, arrive)
         if not found:
+            several = f" or {len(targets) - 1} others" * (len(targets) > 1)
             raise NoPathError(
-                f"no route of edges that can be driven leads from {source!r} to {target!r}; "
-                f"{len(self.closed)} edges are closed"
+                f"no route of edges that can be driven leads from {source!r} to {targets[0]!r}"
+                f"{several}; {len(self.closed)} edges are closed"
             )
-        whole, *others = [self.paths[state] for state in found]
-        for leg in others:
-            turn = float(wrap_angle(leg.start.yaw - whole.end.yaw))
-            if turn != 0.0:
-                whole = whole + _motion(whole.end, 0.0, turn, whole.longitudinal)
-            whole = whole + leg
-        return whole
+        return _through([self.paths[state] for state in found], self.problem, first, last)
+
+
+def _least_turn(problem: PlanningProblem, pose: Pose, yaws: Sequence[float]) -> float:
+    """Return the least energy of turning on the spot from a pose to one of some yaws.
+
+    A turn from there takes the same, but for terms that read the direction of turning.
+    """
+    turns = (_motion(pose, 0.0, float(wrap_angle(yaw - pose.yaw)), problem.cost.icr.longitudinal)
+             for yaw in yaws)  # fmt: skip
+    return min((problem.terrain.price(turn, problem.cost).energy for turn in turns), default=0.0)
+
+
+class _Leg(NamedTuple):
+    """Ways from each heading at one place to each heading at the next."""
+
+    cost: FloatArray  # (n, m)
+    path: Callable[[int, int], Path]  # what is driven from one heading to another
+
+
+def _through(
+    paths: Sequence[Path], problem: PlanningProblem, first: Sequence[float], last: Sequence[float]
+) -> Path:
+    """Return the path along others that passes each place at the heading that costs least."""
+    round_about = (np.arange(_HEADINGS) * (2.0 * np.pi / _HEADINGS)).tolist()
+    yaws = [list(first) or [*round_about, paths[0].start.yaw]]
+    for here, ahead in pairwise(paths):
+        yaws.append([*round_about, here.end.yaw, ahead.start.yaw])
+    yaws.append(list(last) or [*round_about, paths[-1].end.yaw])
+    legs = [_leg(path, problem, *ends) for path, *ends in zip(paths, yaws, yaws[1:], strict=False)]
+    # the least cost from each heading to the end, from the last leg on
+    onward = [np.zeros(len(yaws[-1]))]
+    for leg in reversed(legs):
+        onward.insert(0, np.min(leg.cost + onward[0], axis=1))
+    at = int(np.argmin(onward[0]))
+    if onward[0][at] == inf:
+        raise NoPathError(
+            "at an end of the route the robot has no room to turn to the yaw that is given; give "
+            "another yaw, or none"
+        )
+    parts = []
+    for leg, rest in zip(legs, onward[1:], strict=True):
+        to = int(np.argmin(leg.cost[at] + rest))
+        parts.append(leg.path(at, to))
+        at = to
+    return reduce(add, parts)
+
+
+def _leg(
+    path: Path, problem: PlanningProblem, before: Sequence[float], after: Sequence[float]
+) -> _Leg:
+    """Return the ways along a path, or in its place, between headings at its two ends."""
+    lon = path.longitudinal
+
+    def turned(pose: Pose, yaw: float, *, back: bool) -> Path | None:
+        """Return the turn on the spot from a pose to a yaw, or back, where it is free."""
+        turn = float(wrap_angle(yaw - pose.yaw))
+        away = _motion(pose, 0.0, turn, lon)
+        if not problem.terrain.obstacles.path_free(away, problem.robot):
+            return None
+        return _motion(away.end, 0.0, -turn, lon) if back else away
+
+    def value(part: Path | None) -> float:
+        return inf if part is None else query.value(part)
+
+    query = compiled(replace(problem, start=path.start, goal=path.end, goals=()))
+    leaving = [turned(path.start, yaw, back=True) for yaw in before]
+    arriving = [turned(path.end, yaw, back=False) for yaw in after]
+    cost = np.add.outer([value(part) for part in leaving], [value(part) for part in arriving])
+    cost += query.value(path)
+    centres = [
+        np.array([query.centre(_at(pose, yaw, lon)) for yaw in yaws])
+        for pose, yaws in ((path.start, before), (path.end, after))
+    ]
+    least = least_costs(query, *centres) + query.potential(path.end)
+    motions: dict[tuple[int, int], Segments] = {}
+    for i, j in np.argwhere(least < cost).tolist():
+        found, price = joined(query.setting, Pose(*centres[0][i]), Pose(*centres[1][j]))
+        price += query.potential(path.end)
+        if price < cost[i, j] * (1.0 - ROUNDING):
+            cost[i, j] = price
+            motions[i, j] = found
+
+    def driven(i: int, j: int) -> Path:
+        if (i, j) in motions:
+            moved = query.reference(*merged(motions[i, j]))
+            return Path(_at(path.start, before[i], lon), moved.ds, moved.dtheta, lon)
+        parts = [part for part in (leaving[i], path, arriving[j]) if part is not None]
+        return reduce(add, [part for part in parts if part.dtheta.any() or part.ds.any()])
+
+    return _Leg(cost, driven)
+
+
+def _at(pose: Pose, yaw: float, longitudinal: float) -> Pose:
+    """Return the pose that turning a pose on the spot to a yaw leads to."""
+    x, y = point_ahead(pose, longitudinal)
+    c, s = np.cos(yaw), np.sin(yaw)
+    return Pose(float(x - longitudinal * c), float(y - longitudinal * s), yaw)
 
 
 def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) -> PlannedGraph:
@@ -529,7 +704,7 @@ def plan_edges(graph: Graph, problem: PlanningProblem, *, effort: int = EFFORT) 
         state: energies.get(state, inf) + float(np.mean(after.get(state, [0.0])))
         for state in edges.states
     }
-    return PlannedGraph(_with_costs(graph, costs), paths, energies, turns, tuple(closed))
+    return PlannedGraph(_with_costs(graph, costs), paths, energies, turns, tuple(closed), problem)
 
 
 def _motion(start: Pose, ds: float, turn: float, longitudinal: float) -> Path:

@@ -36,6 +36,7 @@ from energyplan.errors import (
     UnknownNameError,
     UnsupportedPlannerError,
 )
+from energyplan.limits.drive import drawn
 from energyplan.path import ROUNDING, FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget, plan_budget
 from energyplan.planning.driven import DrivenPath, drive_plan, driven_bound
@@ -45,6 +46,7 @@ from energyplan.planning.space.prices import Prices
 from energyplan.records import check_fields, checked
 
 if TYPE_CHECKING:
+    from energyplan.battery import BatteryModel, BatteryRun
     from energyplan.planning.ends import CheckedEnds
 
 
@@ -205,8 +207,9 @@ class _Rated(NamedTuple):
 
 
 _NO_GAP = (
-    "no gap: no lower bound is known of the energy as driven, as this model changes with time, or "
-    "depends on speed on slopes; that at steady speeds is lower_bound_steady"
+    "no gap: no lower bound is known of the energy as driven, as this model changes with time, "
+    "depends on speed on slopes, or nothing limits the speed of the treads; that at steady speeds "
+    "is lower_bound_steady"
 )
 
 
@@ -334,6 +337,31 @@ class Plan(html.Readable):
         except (InfeasibleMotionError, InvalidInputError) as error:
             return str(error)
         return ""
+
+    def drawn(self, battery: BatteryModel, soc: float = 1.0) -> BatteryRun | None:
+        """Return what driving the path does to a battery; None where the motors cannot drive it.
+
+        Parameters
+        ----------
+        battery : BatteryModel
+            The battery, such as a `Battery`.
+        soc : float
+            Its state of charge at the start.
+
+        Raises
+        ------
+        InvalidInputError
+            If the energy of the plan is not counted at the battery.
+        """
+        if self.problem is not None and not self.problem.cost.battery:
+            raise InvalidInputError(
+                "the energy of this plan is not counted at the battery; plan with "
+                "EnergyCost(model, battery=True)"
+            )
+        if self.why_not_driven:
+            return None
+        drive = self.driven
+        return drawn(battery, drive.trajectory.t, np.diff(drive.energy_since_start), soc)
 
     @property
     def energy_driven(self) -> float:

@@ -175,7 +175,7 @@ def planner_of(planner_id: str, default: str = "lattice") -> str:
 
 
 @dataclass(frozen=True)
-class Answer:
+class PlanResult:
     """What became of a request."""
 
     plans: tuple[Plan, ...]
@@ -217,10 +217,10 @@ def answer(
     time_limit: float = inf,
     effort: int | None = None,
     unwanted: Callable[[], bool] = lambda: False,
-    former: Answer | None = None,
+    former: PlanResult | None = None,
     missing: str = "no map has come yet; publish one, or name its topic",
     **options: Any,
-) -> Answer:
+) -> PlanResult:
     """Plan what a request asks for; every error of the library becomes a code and a message."""
     began = time.perf_counter()
     codes = codes_of(request)
@@ -248,13 +248,13 @@ def answer(
         raise
     except errors.EnergyPlanError as error:
         spent = time.perf_counter() - began
-        return Answer((), error_code(error, codes, problem), str(error), spent)
-    return Answer(tuple(plans), codes["NONE"], "", time.perf_counter() - began)
+        return PlanResult((), error_code(error, codes, problem), str(error), spent)
+    return PlanResult(tuple(plans), codes["NONE"], "", time.perf_counter() - began)
 
 
-def aborted(request: Any, message: str) -> Answer:
+def aborted(request: Any, message: str) -> PlanResult:
     """Return the answer to a request that was given up."""
-    return Answer((), codes_of(request)["UNKNOWN"], message, 0.0)
+    return PlanResult((), codes_of(request)["UNKNOWN"], message, 0.0)
 
 
 def warm_up(
@@ -297,7 +297,7 @@ def blocked_poses(
 
 
 def _known(
-    problem: PlanningProblem, left: int, former: Answer | None
+    problem: PlanningProblem, left: int, former: PlanResult | None
 ) -> tuple[PlanningProblem, Plan] | None:
     """Return the former answer's leg with as many left, if it was for the same problem."""
     found = former.plans[-left] if former and left <= len(former.plans) else None
@@ -310,7 +310,7 @@ def _known(
     return (before, found) if all(same) else None
 
 
-def fill_result(result: Any, answer: Answer, frame: str, stamp: Any, factory: Factory) -> Any:
+def fill_result(result: Any, answer: PlanResult, frame: str, stamp: Any, factory: Factory) -> Any:
     """Fill in the result of an action."""
     seconds = int(answer.planning_time)
     rest = min(round((answer.planning_time - seconds) * 1e9), 10**9 - 1)
@@ -431,7 +431,7 @@ class DriveFeed:
         return changed
 
 
-def plan_values(answer: Answer, limit: Any = None) -> dict[str, str]:
+def plan_values(answer: PlanResult, limit: Any = None) -> dict[str, str]:
     """Return the values of a plan for diagnostics: energy, bound [J] and the time it took [s].
 
     With a nav2_msgs/SpeedLimit also what driving the paths takes under it.

@@ -13,7 +13,7 @@ import socket
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from energyplan.errors import InvalidInputError, needs_extra
 
@@ -24,9 +24,19 @@ __all__ = ["create_app", "run"]
 
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 _MOST = 512  # connections at once, where the system lets a process open three times as many files
-_UNREAD = 1 << 18  # bytes of answers that the system keeps for a client that does not read them
-_REST = 1 << 20  # bytes of bodies that were refused, after which a connection ends
-_PATIENCE = 10.0  # time between two looks at a connection, which is to have moved by then [s]
+
+
+class ConnectionLimits(NamedTuple):
+    """What a connection may hold, and how long it may rest."""
+
+    # bytes of answers that the system keeps for a client that does not read them
+    unread: int = 1 << 18
+    rest: int = 1 << 20  # bytes of bodies that were refused, after which a connection ends
+    # time between two looks at a connection, which is to have moved by then [s]
+    patience: float = 10.0
+
+
+_CONNECTION = ConnectionLimits()
 _LOGGERS = {"energyplan.serve": "INFO", "uvicorn": "WARNING", "py.warnings": "WARNING"}
 _LOGGING = {
     "version": 1,
@@ -105,8 +115,18 @@ def listen(host: str, port: int) -> socket.socket:
         raise InvalidInputError(
             f"{host}, port {port}, cannot be listened on: {problem.strerror}; give another --port"
         ) from None
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _CONNECTION.unread)
     return listening
+
+
+def _most_connections() -> int:
+    """Return how many connections there may be at once."""
+    with suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        return min(_MOST, files // 3) if files > 0 else _MOST
+    return _MOST
 
 
 def server(app: FastAPI) -> Any:
@@ -115,12 +135,7 @@ def server(app: FastAPI) -> Any:
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    most = _MOST
-    with suppress(ImportError):  # Windows has no such limit
-        import resource
-
-        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        most = min(most, files // 3) if files > 0 else most
+    most = _most_connections()
 
     class Bounded(H11Protocol):
         """A connection that ends where nothing moves, as uvicorn has no end to an unread answer.
@@ -138,14 +153,14 @@ def server(app: FastAPI) -> Any:
                 every: list[Any] = [one for one in self.connections if one is not self]
                 others = [one for one in every if one.waits and not one.transport.is_closing()]
                 min(others, key=lambda one: one._heard, default=self).transport.abort()
-            self.loop.call_later(_PATIENCE, self._look)
+            self.loop.call_later(_CONNECTION.patience, self._look)
 
         def data_received(self, data: bytes) -> None:
             self._heard = self.loop.time()
             cycle = self.cycle
             if cycle is not None and cycle.response_complete and cycle.more_body:
                 self._rest += len(data)  # of a body that was refused
-                if self._rest > _REST:
+                if self._rest > _CONNECTION.rest:
                     self.transport.abort()
                     return
             super().data_received(data)
@@ -165,7 +180,7 @@ def server(app: FastAPI) -> Any:
                 self.transport.abort()
                 return
             self._seen = seen
-            self.loop.call_later(_PATIENCE, self._look)
+            self.loop.call_later(_CONNECTION.patience, self._look)
 
         def shutdown(self) -> None:
             if self.waits:

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel, create_model
 from typing_extensions import TypedDict
 
+from energyplan.battery import BatteryRun
 from energyplan.diagnosis import Diagnosis
 from energyplan.fit import Identification
 from energyplan.limits.feasibility import FeasibilityReport
@@ -107,10 +108,11 @@ _Terms = {"terms": list[Coefficient], "model_file": str}
 _Areas = dict[str, Any]  # GeoJSON
 _ICR = _record("ICR", shape(TreadICR), std_error=dict[str, Number] | None)
 _NoPath = _record("NoPath", path=None, reason=str, certainty=str, resolution=Number, **_BESIDE)
+_Battery: Any = shape(BatteryRun) | None
 _Plan = _record(
     "Plan", shape(Plan), reverse_length=float, path=list[list[float]], energy_driven=Number,
     duration=Number, speed=Number, speed_priced=Number, deprecated=dict[str, str],
-    breakdown_driven=dict[str, float] | None, **_PRESET,
+    breakdown_driven=dict[str, float] | None, battery=_Battery, **_PRESET,
 )  # fmt: skip
 _Leg = _record("Leg", shape(Segment), duration=float, trajectory=dict[str, list[Number]])
 _trip = {"legs": _list(_Leg), "timeline": dict[str, list[Number]]}
@@ -129,7 +131,7 @@ RANGE = _record(
     "EnergyMap", shape(EnergyMap), area=float, areas=_Areas,
     contours=_list(_record("Level", energy=float, area=float)), **_BESIDE,
 )  # fmt: skip
-CHECK = _record("FeasibilityReport", shape(FeasibilityReport), **_BESIDE)
+CHECK = _record("FeasibilityReport", shape(FeasibilityReport), battery=_Battery, **_BESIDE)
 MISSION = _record(
     "Mission", shape(MissionReport), tasks=_list(_task), **_trip, **_PRESET
 ) | _record(

@@ -27,6 +27,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from energyplan import __version__
 from energyplan.battery import PRESETS as BATTERY_PRESETS
+from energyplan.battery import Battery
 from energyplan.comparison import compare
 from energyplan.compilation import compile_kernels
 from energyplan.diagnosis import diagnose
@@ -58,12 +59,13 @@ from energyplan.io.sites import (
 from energyplan.io.start import Start
 from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
+from energyplan.limits.drive import Ground, Traversal, drawn
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
 from energyplan.mission import Mission, MissionReport, Routes, evaluate
 from energyplan.output import documents
 from energyplan.path import Trajectory, as_pose
-from energyplan.planning import plan
+from energyplan.planning import Plan, plan
 from energyplan.planning import planners as known_planners
 from energyplan.power import PowerModel
 from energyplan.power.presets import MODEL_PRESETS
@@ -165,7 +167,7 @@ class _Service:
     ) -> None:  # fmt: skip
         """Have a path answered by work, which gets the request."""
 
-        class Read(Request):
+        class BodyRequest(Request):
             """A request whose body is read before FastAPI asks for it."""
 
             given: BaseModel
@@ -180,7 +182,7 @@ class _Service:
                 handle = super().get_route_handler()
 
                 async def handler(request: Request) -> Response:
-                    read = Read(request.scope, request.receive)
+                    read = BodyRequest(request.scope, request.receive)
                     content = await read.body()
                     read.given = await asyncio.to_thread(requests.read_body, content, given)
                     return await handle(read)
@@ -325,35 +327,45 @@ def _routes(service: _Service) -> APIRouter:
             store.site(given), model, ends, battery=battery, reverse=given.reverse, **more
         )
 
+    def packed(
+        given: requests.PlanRequest | requests.RangeRequest | requests.CheckRequest,
+    ) -> Battery | None:
+        return None if given.pack is None else store.named(given.pack, read_battery)
+
     def planned(
         run: Callable[..., Any],
-        document: Callable[[Any], Document],
+        document: Callable[..., Document],
+        plans: Callable[[Any], tuple[Plan, ...]],
         job: Job,
         given: requests.PlanRequest,
     ) -> Document:
+        pack = packed(given)
         query = question(
-            given, given.battery, given.goal, objective=given.objective,
+            given, given.battery or pack is not None, given.goal, objective=given.objective,
             costmap_weight=given.costmap_weight,
         )  # fmt: skip
         job.say("planning")
         limit = math.inf if given.time_limit is None else given.time_limit
         try:
-            found = document(run(query.problem, given.planner, limit, effort=given.effort))
+            result = run(query.problem, given.planner, limit, effort=given.effort)
+            runs = (one.drawn(pack, given.soc) for one in plans(result)) if pack else ()
+            found = document(result, *runs)
         except NoPathError as error:  # an answer, as on the command line
             found = documents.no_path(error)
-        return _whole(found, query.notes, *models_of(query.problem))
+        notes = (*query.notes, *(pack.notes if pack else ()))
+        return _whole(found, notes, *models_of(query.problem))
 
     def reach(job: Job, given: requests.RangeRequest) -> Document:
         if (given.energy is None) == (given.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
-        problem, notes = question(given, given.pack is not None, given.start)
+        pack = packed(given)
+        problem, notes = question(given, pack is not None, given.start)
         usable: float | UsableCharge
-        if given.energy is not None:
-            usable = (1.0 - given.reserve) * given.energy
-        else:
-            pack = store.named(given.pack, read_battery)
+        if pack is not None:
             usable = UsableCharge(problem.cost, pack, given.soc, given.reserve)
             notes += pack.notes
+        else:
+            usable = (1.0 - given.reserve) * (given.energy or 0.0)
         job.say("searching")
         found = energy_map(
             problem, energy=usable, back=given.back, confidence=given.confidence,
@@ -364,17 +376,24 @@ def _routes(service: _Service) -> APIRouter:
         return _whole(document, notes, *models_of(problem))
 
     def checked(job: Job, given: requests.CheckRequest) -> Document:
-        columns = {name: column for name, column in given if name != "model"}
+        pack = packed(given)
+        columns = {name: column for name, column in given if isinstance(column, np.ndarray)}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise InvalidInputError(f"the columns have different lengths: {lengths}")
         model, _, notes = on_site(store.named(given.model, read_model), None)
-        document = documents.feasibility(check(Trajectory(**columns), model))
-        return _whole(document, notes, model)
+        drive, law, run = Trajectory(**columns), model, None
+        if pack is not None:
+            law, notes = model.battery_side(), (*notes, *pack.notes)
+            energies = Traversal(drive, Ground(law)).interval_energies()
+            run = drawn(pack, drive.t, energies, given.soc)
+        return _whole(documents.feasibility(check(drive, law), run), notes, model)
 
-    routed = partial(planned, plan, documents.plan)
+    routed = partial(planned, plan, documents.plan, lambda found: (found,))
     service.answers(router, "/plan", requests.PlanRequest, answers.PLAN, routed)
-    compared = partial(planned, compare, documents.comparison)
+    compared = partial(
+        planned, compare, documents.comparison, lambda found: (found.energy_optimal, found.shortest)
+    )
     service.answers(router, "/compare", requests.PlanRequest, answers.COMPARISON, compared)
     service.answers(router, "/range", requests.RangeRequest, answers.RANGE, reach)
     service.answers(router, "/check", requests.CheckRequest, answers.CHECK, checked)

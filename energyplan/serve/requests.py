@@ -100,7 +100,12 @@ Goals = Annotated[
 ]
 
 
-class PlanRequest(_OnSite):
+class _WithPack(BaseModel):
+    pack: Name | dict[str, Any] | None = Field(None, description="battery, as a mission's file has")
+    soc: float = Field(1.0, gt=0, le=1)
+
+
+class PlanRequest(_OnSite, _WithPack):
     """A planning problem; files are named as the data folder has them."""
 
     goal: Goals
@@ -112,13 +117,11 @@ class PlanRequest(_OnSite):
     effort: int | None = Field(None, ge=1, le=MOST_EFFORT)
 
 
-class RangeRequest(_OnSite):
+class RangeRequest(_OnSite, _WithPack):
     """From where, and what there is: an energy [J], or the charge of a battery."""
 
     back: Goals | None = Field(None, description="where to get back to, such as a charger, as goal")
     energy: float | None = Field(None, gt=0)
-    pack: Name | dict[str, Any] | None = Field(None, description="battery, as a mission's file has")
-    soc: float = Field(1.0, gt=0, le=1)
     reserve: float = Field(
         0.0, ge=0, lt=1, description="state of charge to keep; of an energy, the part to keep"
     )
@@ -142,7 +145,7 @@ Column = Annotated[
 ]
 
 
-class CheckRequest(_Asked):
+class CheckRequest(_Asked, _WithPack):
     """A trajectory by its columns, and the model whose motors drive it."""
 
     model: Name

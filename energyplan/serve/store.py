@@ -56,11 +56,20 @@ _TELLING: tuple[tuple[str, set[str]], ...] = (
 )  # fmt: skip
 """Keys of which any shows what a YAML file is; the first kind that fits."""
 _NAME = re.compile(r"[\w][\w .+-]*(/[\w][\w .+-]*)*")
-_LONGEST = 200  # letters of a name
-_KEPT = 32  # files whose content is kept
+
+
+class StoreLimits(NamedTuple):
+    """What the store keeps."""
+
+    name: int = 200  # letters of a name
+    files: int = 32  # files whose content is kept
+    # time between two looks whether who waits for a file is still waited for [s]
+    look: float = 0.05
+
+
+_STORE = StoreLimits()
 _CELLS, _MOST = 2**24, 2**25  # most cells of a map, and of all that is kept but the newest
 _UNPACKED, _TABLE = 2**26, 2**24  # most bytes of a table, after decompression, and cells
-_TURN = 0.05  # time between two looks whether who waits for a file is still waited for [s]
 _Stamp = tuple[tuple[Path, int, int, int, int], ...]
 
 
@@ -115,7 +124,7 @@ class Store:
         return file
 
     def _inside(self, name: str) -> Path:
-        if len(name) > _LONGEST or not _NAME.fullmatch(name):
+        if len(name) > _STORE.name or not _NAME.fullmatch(name):
             raise UnknownFileError(f"{name[:80]!r} is no name of a file in the data folder")
         try:
             file = (self.folder / name).resolve()
@@ -168,7 +177,7 @@ class Store:
                 with self._lock:
                     self._kept[key] = known
                     kept = self._kept
-                    while len(kept) > _KEPT or (len(kept) > 1 and _cells(kept) > _MOST):
+                    while len(kept) > _STORE.files or (len(kept) > 1 and _cells(kept) > _MOST):
                         kept.pop(next(iter(kept)))
         found: T | _Refusal = known[1]
         if isinstance(found, _Refusal):
@@ -180,7 +189,7 @@ class Store:
         """Have only one read a file at a time; who waits may be cancelled."""
         with self._lock:
             turn = self._turns.setdefault(key, threading.Lock())  # until nobody holds it
-        while not turn.acquire(timeout=_TURN):
+        while not turn.acquire(timeout=_STORE.look):
             end_if_unwanted()
         try:
             yield

@@ -138,6 +138,51 @@ def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     assert alone.code == 2 and "give that" in alone.err
 
 
+PACK = """
+preset: 24 V 20 Ah lead-acid
+soc_points: [0, 1]
+ocv_points: [24, 24]
+resistance: 0.1
+pair_resistance: 0
+peukert: 1
+max_discharge_current: {most}
+"""
+
+
+def test_check_says_what_a_drive_asks_of_a_battery(run: Run, tmp_path: Path) -> None:
+    """A steady drive, of a battery without memory, has a current in closed form."""
+    file, pack = write_trajectory(arc(0.4), tmp_path / "drive.csv"), tmp_path / "pack.yaml"
+    pack.write_text(PACK.format(most=100))
+    asked = ("check", file, "--model", "quadriga:full:marble", "--battery", pack, "--soc", "50%")
+    told = run(*asked, "--json").json
+    power = told["energy"] / 4.0
+    current = (24.0 - (24.0**2 - 4 * 0.1 * power) ** 0.5) / (2 * 0.1)
+    found = told["battery"]
+    assert (found["peak_power"], found["peak_current"]) == pytest.approx((power, current), 1e-6)
+    assert found["soc_end"] == pytest.approx(0.5 - 4 * current / 72000, 1e-6)
+    assert (found["reason"], found["brown_out"]) == ("none", None)
+    line = f"battery: at most {number(power)} W and {number(current)} A, "
+    assert line in run(*asked).out
+    pack.write_text(PACK.format(most=0.9 * current))
+    assert "the battery would have to deliver more current" in run(*asked).out
+    assert run(*asked, "--json").json["battery"]["reason"] == "current"
+
+
+def test_plan_says_what_its_drive_asks_of_a_battery(run: Run, tmp_path: Path) -> None:
+    words, drive = "24 V 20 Ah lead-acid", tmp_path / "drive.csv"
+    asked = (*OFFICE, "--goal", "3.9,2,90deg", "--battery", words, "--soc", "80%", "--json")
+    told = run("plan", *asked, "--trajectory", drive).json
+    checked = run("check", drive, "--model", CONCRETE, "--battery", words, "--soc", 0.8, "--json")
+    for key in ("peak_power", "peak_current", "soc_end"):
+        assert told["battery"][key] == pytest.approx(checked.json["battery"][key], rel=1e-3)
+    compared = run("compare", *asked).json
+    for key in ("energy_optimal", "shortest"):
+        one = compared[key]
+        assert one["battery"]["peak_power"] > one["energy_driven"] / one["duration"]
+        assert 0.79 < one["battery"]["soc_end"] < 0.8
+    assert run("plan", *OFFICE, "--goal", "3.9,2,90deg", "--json").json["battery"] is None
+
+
 def test_range_takes_what_a_battery_holds_above_the_reserve(run: Run) -> None:
     """A reserve is a state of charge, as that of a mission."""
     told = run("range", *OFFICE, "--battery", "quadriga", "--soc", 0.5012, "--reserve", 0.5,

@@ -165,6 +165,10 @@ def test_an_answer_ends_with_the_command_that_follows(
     monkeypatch.chdir(tmp_path)
     model = ep.PowerModel.preset("quadriga:full:concrete")
     write_log(simulate.identification_drive(model, seed=1, power_noise=5.0), tmp_path / "a b.csv")
+    begun = ("--track", 0.5, "--wheelbase", 0.475, "--mass", 147, "--out", "my robot.yaml")
+    started = run("start", "a b.csv", *begun).out.splitlines()[-1]
+    assert started.startswith("written: my robot.yaml; next: energyplan diagnose ")
+    assert after(started.partition("; ")[2])[1:4] == ["a b.csv", "--project", "my robot.yaml"]
     diagnose = after(run("identify", "a b.csv", "--vehicle", "quadriga:full").out)
     assert diagnose == shlex.split(
         "diagnose 'a b.csv' --out diagnosed.yaml --vehicle quadriga:full"

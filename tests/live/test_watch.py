@@ -49,6 +49,7 @@ from energyplan.live import (
 )
 from energyplan.live.watcher import Settings
 from energyplan.mission import Spreads, Task
+from energyplan.output import text
 from energyplan.power.effects import with_weight
 from energyplan.terrain import Surface
 
@@ -330,9 +331,13 @@ def test_a_row_is_done_at_its_end_and_the_rest_takes_what_is_left_of_the_mission
     assert last.done == (("row",) if is_done else ())
     assert 1.0 - last.soc == pytest.approx(100.0 * 10.0 / CAPACITY, rel=1e-3)
     learned = only(events, Learned)[-1].model
-    rest = mission.resume((8.0, 1.5, 0.0), last.soc, last.done, time=15.05, model=learned)
+    rows = {"row": [(8.0, 1.5, 0.0), (ends[1], 1.5, 0.0)]} if ends[1] == 10.0 else {}
+    rest = mission.resume(
+        (8.0, 1.5, 0.0), last.soc, last.done, time=15.05, model=learned, rows=rows
+    )
     assert last.report is not None
-    assert last.report.energy == pytest.approx(evaluate(rest).energy, rel=1e-3)
+    assert last.report.energy == pytest.approx(evaluate(rest).energy, rel=5e-3 if rows else 1e-3)
+    assert last.driven == ({"row": pytest.approx(4.0, abs=0.03)} if rows else {})
 
 
 def test_a_measured_charge_is_believed_and_one_that_cannot_be_is_told() -> None:
@@ -376,6 +381,30 @@ def test_a_border_that_the_map_knows_is_no_change_of_ground() -> None:
     assert only(events, Changed) == []
     for found, truth in zip(events[-1].models, (MARBLE, CONCRETE), strict=True):
         assert found.coefficients == pytest.approx(truth.coefficients, rel=0.05)
+
+
+@pytest.mark.parametrize("points", ["line", "corner", "poses"])
+def test_what_is_left_of_a_row_counts_from_where_the_robot_is(points: str) -> None:
+    """The robot stands at x = 8 m, 5 m into the row, and a little beside it."""
+    ends = {"line": [(3.0, 1.5), (20.0, 1.5)], "corner": [(3.0, 1.5), (12.0, 1.5), (12.0, 2.0)],
+            "poses": [(3.0, 1.5, 0.0), (20.0, 1.5, 0.0)]}[points]  # fmt: skip
+    row = Task("row", path=ends, power=40.0, payload_per_metre=-0.2)
+    mission = replace(corridor(payload=5.0), tasks=(row,), return_to="start")
+    beside = [one.replace(",1.5,0.0", ",1.52,0.0") for one in along(100.0)]
+    events = told(beside, prior=None, mission=mission)
+    assert only(events, Done) == []
+    assert not [one for one in only(events, Trouble) if "looked at" in one.reason]
+    last = only(events, Reassessed)[-1]
+    assert last.driven == {"row": pytest.approx(5.0, abs=0.03)}
+    assert last.pose == pytest.approx((8.0, 1.52, 0.0))
+    rest = replace(row, path=[(8.0, 1.5), *ends[1:]] if points != "poses" else
+                   [(8.0, 1.5, 0.0), ends[1]], direction="given")  # fmt: skip
+    alone = replace(mission, start=(8.0, 1.5, 0.0), home=mission.start, soc=last.soc,
+                    payload=4.0, tasks=(rest,))  # fmt: skip
+    assert last.report.energy == pytest.approx(evaluate(alone).energy, rel=5e-3)
+    whole = mission.resume((8.0, 1.5, 0.0), last.soc)
+    assert last.report.energy < 0.9 * evaluate(whole).energy
+    assert "row driven for 5.0 m" in text.event(last)[0]
 
 
 def test_a_mission_with_payload_keeps_its_models() -> None:

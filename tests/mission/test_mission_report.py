@@ -120,6 +120,14 @@ def test_the_timetable_has_no_gap_and_the_headline_tells_how_long_it_charges() -
     tasks = at("a", 9.0, dwell=30.0, window=(60.0, 1e4)), at("b", 25.0)
     report = evaluate(corridor(5000.0, tasks, 5.0, chargers=(charger(15, "dock"),)))
     told = report.timetable
+    drives = [one for one in told if one.kind == "drive"]
+    for name in ("peak_power", "peak_current"):
+        assert [getattr(one, name) for one in drives] == [getattr(one, name) for one in report.legs]
+        assert all(getattr(one, name) == 0 for one in told if one.kind == "charge")
+    assert (
+        f"{drives[0].peak_current:.3g}"
+        in next(one for one in report.tables if one.title == "Timetable").text()
+    )
     assert [one.kind for one in told][:4] == ["drive", "wait", "work", "drive"]
     for before, after in pairwise(told):
         assert after.start == pytest.approx(before.end, abs=1e-6)

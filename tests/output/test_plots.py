@@ -9,6 +9,7 @@ import pytest
 import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from energyplan import (
@@ -35,6 +36,14 @@ MODEL = PowerModel.preset("quadriga:empty:marble")
 def assert_axes_have_units(ax: Axes) -> None:
     for label in (ax.get_xlabel(), ax.get_ylabel()):
         assert re.search(r"\[.+\]$", label), f"axis label {label!r} lacks its unit"
+
+
+def test_a_notebook_shows_a_picture_as_an_image() -> None:
+    figure = plots.figure()
+    assert isinstance(figure, Figure)
+    content, size = figure._repr_png_()  # as IPython asks for
+    assert content == plots.png(figure)
+    assert size == {"width": 520}
 
 
 def test_prediction_shows_speeds_power_and_energy() -> None:

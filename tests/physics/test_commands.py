@@ -13,7 +13,7 @@ import pytest
 import energyplan as ep
 from energyplan.diagnosis import Diagnosis
 from energyplan.limits.speed import profile
-from energyplan.physics import Robot, Sensors, Tracking, drive
+from energyplan.physics import EngineRobot, Sensors, Tracking, drive
 from energyplan.power.effects import COPPER_LOSS, catalogue
 
 pytest.importorskip("mujoco")
@@ -31,7 +31,7 @@ def driven(seed: int, slack: float) -> ep.DriveLog:
     dtheta = np.ravel(np.column_stack([np.zeros(4), [*turns, 0.0]]))
     slow = replace(VEHICLE, motor=replace(VEHICLE.motor, speed=0.8, acceleration=0.4))
     way = profile(ep.Path(ep.Pose(0, 0, 0.3), ds[:-1], dtheta[:-1]), MODEL, vehicle=slow)
-    made = drive(way, Robot.from_model(MODEL), MODEL, tracking=Tracking(slack=slack))
+    made = drive(way, EngineRobot.from_model(MODEL), MODEL, tracking=Tracking(slack=slack))
     return Sensors(seed=seed, without=("accel_x",)).log(made.run, f"drive {seed}")
 
 

@@ -17,7 +17,7 @@ import energyplan as ep
 from energyplan.io.files import bundled
 from energyplan.io.tables import write_trajectory
 from energyplan.limits.speed import profile
-from energyplan.physics import Driven, EngineGround, Robot, Sensors, drive
+from energyplan.physics import Driven, EngineGround, EngineRobot, Sensors, drive
 from energyplan.power import HOTEL
 from energyplan.power.effects import term
 from energyplan.terrain import Surface
@@ -41,7 +41,7 @@ def trajectory(path: ep.Path = ROUTE, speed: float = 0.6) -> ep.Trajectory:
 
 @pytest.fixture(scope="module")
 def driven() -> Driven:
-    return drive(trajectory(), Robot.from_model(MODEL), MODEL)
+    return drive(trajectory(), EngineRobot.from_model(MODEL), MODEL)
 
 
 def test_energy_taken_is_the_energy_told(driven: Driven) -> None:
@@ -87,7 +87,7 @@ LIGHT, USUAL, HEAVY = 3, 1, 10
 @pytest.mark.parametrize("seed", by_day(range(30), [LIGHT, HEAVY]))
 def test_robots_of_any_size_follow_without_hunting(seed: int) -> None:
     asked, model = any_route(seed)
-    made = drive(asked, Robot.from_model(model), model)
+    made = drive(asked, EngineRobot.from_model(model), model)
     assert made.arrived
     assert abs(made.error) < 0.015
     assert made.tracking_error < 0.15 * model.vehicle.icr.half_track
@@ -97,18 +97,18 @@ def test_robots_of_any_size_follow_without_hunting(seed: int) -> None:
 
 
 def test_motors_that_share_no_load_push_against_each_other() -> None:
-    alone = replace(Robot.from_model(MODEL), sharing=np.inf)
+    alone = replace(EngineRobot.from_model(MODEL), sharing=np.inf)
     asked = trajectory(ep.Path(ep.Pose(1, 1, 0.3), ds=[0.0, 3.0], dtheta=[1.0, 0.0]))
     assert fought(drive(asked, alone, MODEL)) > 0.05
-    assert fought(drive(asked, Robot.from_model(MODEL), MODEL)) < 0.01
+    assert fought(drive(asked, EngineRobot.from_model(MODEL), MODEL)) < 0.01
 
 
 def test_an_effect_takes_what_its_term_tells(driven: Driven) -> None:
     told = MODEL.with_term(term("viscous_loss"), 80.0)
-    made = drive(driven.trajectory, Robot.from_model(told), told)
+    made = drive(driven.trajectory, EngineRobot.from_model(told), told)
     assert abs(made.error) < 0.015
     assert made.measured["viscous_loss"] == pytest.approx(made.predicted["viscous_loss"], rel=0.03)
-    ignorant = drive(driven.trajectory, Robot.from_model(told), MODEL)
+    ignorant = drive(driven.trajectory, EngineRobot.from_model(told), MODEL)
     share = made.measured["viscous_loss"] / made.energy_measured
     assert ignorant.error == pytest.approx(-share, abs=0.015)
 
@@ -116,8 +116,8 @@ def test_an_effect_takes_what_its_term_tells(driven: Driven) -> None:
 def test_a_surface_under_the_wheels_is_felt() -> None:
     slick = ep.PowerModel.paper(VEHICLE, K=60.0, mu=0.3)
     ground = EngineGround(ep.SurfaceMap([Surface(box(-50, -50, 50, 50), slick)]))
-    made = drive(trajectory(), Robot.from_model(MODEL), MODEL, ground=ground)
-    bare = drive(trajectory(), Robot.from_model(slick), slick)
+    made = drive(trajectory(), EngineRobot.from_model(MODEL), MODEL, ground=ground)
+    bare = drive(trajectory(), EngineRobot.from_model(slick), slick)
     assert made.energy_measured == pytest.approx(bare.energy_measured, rel=0.005)
     assert made.energy_predicted == pytest.approx(bare.energy_predicted, rel=1e-9)
 
@@ -141,7 +141,7 @@ def test_sensors(driven: Driven) -> None:
 
 
 def test_hotel_load_is_in_the_log_and_in_the_energy(driven: Driven) -> None:
-    made = drive(driven.trajectory, Robot.from_model(MODEL.with_term(HOTEL, 40.0)), MODEL)
+    made = drive(driven.trajectory, EngineRobot.from_model(MODEL.with_term(HOTEL, 40.0)), MODEL)
     more = 40.0 * made.run.period * len(made.run.t)
     assert made.energy_measured - driven.energy_measured == pytest.approx(more, rel=1e-6)
     assert Sensors(power_noise=0.0).log(made.run).power[0] >= 40.0 - 1e-6
@@ -158,7 +158,7 @@ def test_identified_from_the_engine_it_is_the_truth() -> None:
     pattern = ep.simulate.drive(MODEL, (("spin", 15.0), ("straight", 18.0), ("survey", 25.0)))
     poses, motion = (pattern.channel(one) for one in ("x", "y", "yaw")), pattern.motion(VEHICLE.icr)
     asked = ep.Trajectory(pattern.t, *poses, motion.v, motion.omega)
-    made = drive(asked, Robot.from_model(MODEL), MODEL)
+    made = drive(asked, EngineRobot.from_model(MODEL), MODEL)
     found = ep.identify(Sensors().log(made.run), VEHICLE)
     assert found.model.coefficient("slip_friction") == pytest.approx(0.647, rel=0.03)
     assert found.model.coefficient("traction_resistance") == pytest.approx(118.0, rel=0.03)

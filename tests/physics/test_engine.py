@@ -15,10 +15,10 @@ from energyplan.diagnosis.design import Hypothesis, design
 from energyplan.errors import PhysicsError
 from energyplan.physics import (
     EFFECTS,
-    Effect,
     Engine,
     EngineGround,
-    Robot,
+    EngineRobot,
+    HiddenEffect,
     Run,
     Sensors,
     State,
@@ -34,7 +34,7 @@ pytest.importorskip("mujoco")
 CENTRED = ep.Vehicle.preset("quadriga:full").with_mass(147.1)
 VEHICLE = CENTRED.with_icr(ep.TreadICR.symmetric(predict_icr(0.475, 0.5)))
 MODEL = ep.PowerModel.paper(VEHICLE, K=118.0, mu=0.647)
-ROBOT = Robot.from_model(MODEL)
+ROBOT = EngineRobot.from_model(MODEL)
 
 
 def steady(left: float, right: float, duration: float = 6.0) -> Controller:
@@ -87,7 +87,7 @@ def test_starts_and_stops_straight_ahead_take_nothing(speed: float, acceleration
 
 @pytest.mark.parametrize("direction", [0.0, np.pi, np.pi / 2])
 def test_slope_adds_the_weight(direction: float) -> None:
-    robot = Effect("tilted_plane", 0.05, {"direction": direction}).on(ROBOT)
+    robot = HiddenEffect("tilted_plane", 0.05, {"direction": direction}).on(ROBOT)
     run = Engine(robot).drive(steady(0.5, 0.5))
     grade = 147.1 * GRAVITY * np.sin(0.05) * np.cos(direction)
     # On a slope the loads are less by its cosine, and so is the half that rolls.
@@ -98,7 +98,7 @@ def test_slope_adds_the_weight(direction: float) -> None:
 def test_heights_tilt_gravity_like_the_plane() -> None:
     ramp = ep.HeightMap(np.tile(0.1 * np.tan(0.05) * np.arange(101), (101, 1)), 0.1, (-5, -5, 0))
     on_map = Engine(ROBOT, EngineGround(heights=ramp)).drive(steady(0.5, 0.5))
-    tilted = Effect("tilted_plane", 0.05).on(ROBOT)
+    tilted = HiddenEffect("tilted_plane", 0.05).on(ROBOT)
     on_plane = Engine(tilted).drive(steady(0.5, 0.5))
     assert on_map.taken == pytest.approx(on_plane.taken, rel=1e-6)
 
@@ -135,7 +135,7 @@ ARC, AHEAD = (0.2, 0.6), (0.5, 0.5)
 )  # fmt: skip
 def test_an_effect_is_the_term_of_its_name(name: str, speeds: tuple[float, float]) -> None:
     size = EFFECTS[name].draw(ROBOT, np.random.default_rng(1))
-    run = Engine(Effect(name, size).on(ROBOT)).drive(steady(*speeds))
+    run = Engine(HiddenEffect(name, size).on(ROBOT)).drive(steady(*speeds))
     told = MODEL.with_term(term(name), size)
     wanted = float(told.power(ep.Motion(*speeds, VEHICLE.icr)))
     assert held(run, run.power) == pytest.approx(wanted, rel=0.005)
@@ -148,7 +148,7 @@ def test_every_joule_is_accounted_for() -> None:
     assert sum(run.energy.values()) == pytest.approx(run.taken, rel=1e-9)
 
 
-def any_robot(rng: np.random.Generator) -> Robot:
+def any_robot(rng: np.random.Generator) -> EngineRobot:
     """Draw a robot of 5 to 500 kg: stance, centre of mass, motors, friction and slope."""
     mass = float(np.exp(rng.uniform(np.log(5.0), np.log(500.0))))
     size, weight = (mass / 150.0) ** (1 / 3), mass * GRAVITY
@@ -160,7 +160,7 @@ def any_robot(rng: np.random.Generator) -> Robot:
         motor=ep.MotorLimits(force=force),
     )  # fmt: skip
     traction = weight * rng.uniform(0.01, 0.12) * np.array([1.0, rng.uniform(0.7, 1.4)])
-    return Robot(
+    return EngineRobot(
         vehicle, rng.uniform(0.2, 1.0), (traction[0], traction[1]),
         tilt=tuple(rng.uniform(-0.1, 0.1, 2)), height=0.25 * min(base, track),
         viscous=float(rng.choice([0.0, 2 * traction[0]])), drive_loss=0.1,
@@ -199,7 +199,7 @@ def test_a_drive_that_does_not_add_up_is_refused(monkeypatch: pytest.MonkeyPatch
 
 def test_the_centre_of_mass_moves_the_icr() -> None:
     """To where the friction of all four contacts is in balance, solved apart from the engine."""
-    robot = replace(Effect("centre_of_mass", 0.06).on(ROBOT), height=0.01)
+    robot = replace(HiddenEffect("centre_of_mass", 0.06).on(ROBOT), height=0.01)
     run = Engine(robot).drive(steady(-0.1, 0.1, duration=8.0))
     vehicle, later = robot.vehicle, run.t > 5.0
     tread = np.where(vehicle.contacts[:, 1] > 0, -0.1, 0.1)
@@ -225,12 +225,12 @@ def test_wheels_of_any_number_carry_their_loads() -> None:
         "rover", six, np.array([100.0, 100.0, 220.0, 220.0, 100.0, 100.0]),
         ep.TreadICR.symmetric(0.5), np.array([[-0.5, -0.4], [0.5, 0.4]]),
     )  # fmt: skip
-    run = Engine(Robot(vehicle, 0.5, (60.0, 60.0))).drive(steady(0.4, 0.4))
+    run = Engine(EngineRobot(vehicle, 0.5, (60.0, 60.0))).drive(steady(0.4, 0.4))
     assert held(run, run.power) == pytest.approx(48.0, rel=0.002)
 
 
 def test_a_top_heavy_robot_tips_over() -> None:
-    robot = replace(Effect("tilted_plane", 0.5).on(ROBOT), height=1.5)
+    robot = replace(HiddenEffect("tilted_plane", 0.5).on(ROBOT), height=1.5)
     with pytest.raises(PhysicsError, match="left the ground"):
         Engine(robot).drive(steady(0.5, 0.5))
 
@@ -248,12 +248,12 @@ RAIL = replace(VEHICLE, contacts=LINE, loads=np.array([50.0, 50.0]))
 MOBILISED = MODEL.with_term(term("friction_mobilisation"), 0.1)
 SPEEDS = (Hypothesis(("viscous_loss",)), Hypothesis(("air_drag",)))
 REFUSED = r"""
-UnknownNameError: Effect("viscosity", 3.0) | viscous_loss
-UnknownNameError: Effect("tilted_plane", 0.1, {"angle": 1.0}) | direction
-InvalidInputError: Effect.parse("viscous_loss") | NAME=SIZE
-InvalidInputError: Effect.parse("viscous_loss=nan") | not a finite
-ModelError: Robot.from_model(MOBILISED) | friction_mobilisation
-InvalidInputError: Robot(RAIL, 0.5, (10, 10)) | one line
+UnknownNameError: HiddenEffect("viscosity", 3.0) | viscous_loss
+UnknownNameError: HiddenEffect("tilted_plane", 0.1, {"angle": 1.0}) | direction
+InvalidInputError: HiddenEffect.parse("viscous_loss") | NAME=SIZE
+InvalidInputError: HiddenEffect.parse("viscous_loss=nan") | not a finite
+ModelError: EngineRobot.from_model(MOBILISED) | friction_mobilisation
+InvalidInputError: EngineRobot(RAIL, 0.5, (10, 10)) | one line
 InvalidInputError: replace(ROBOT, sharing=0.0) | sharing
 InvalidInputError: Engine(ROBOT).drive(lambda state: (np.nan, 0.5)) | at 0\.00 s; give two finite
 InvalidInputError: Sensors(rate=0.0) | rate is 0

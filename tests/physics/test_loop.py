@@ -20,7 +20,15 @@ from energyplan.fit.run import RunEffect
 from energyplan.logs.checks import without_copies
 from energyplan.output import documents, text
 from energyplan.output.pages import loop_page
-from energyplan.physics import Effect, EngineDrives, Loop, Robot, close_loop, loop, switch_on
+from energyplan.physics import (
+    EngineDrives,
+    EngineRobot,
+    HiddenEffect,
+    Loop,
+    close_loop,
+    loop,
+    switch_on,
+)
 from energyplan.physics.driving import energy_predicted
 from energyplan.physics.loop import SPEED_SHARE, LearnedModel, Round, Steered, believed, learn
 from energyplan.power import HOTEL
@@ -49,8 +57,8 @@ PROBLEM = ep.PlanningProblem(
 )
 
 
-def closed(*effects: Effect) -> Loop:
-    source = EngineDrives(switch_on(Robot.from_model(MODEL), effects))
+def closed(*effects: HiddenEffect) -> Loop:
+    source = EngineDrives(switch_on(EngineRobot.from_model(MODEL), effects))
     return close_loop(PROBLEM, source, rounds=2, tolerance=0.0, effort=20_000)
 
 
@@ -58,22 +66,22 @@ def closed(*effects: Effect) -> Loop:
 @pytest.mark.parametrize(
     ("effect", "near"),
     [
-        (Effect("viscous_loss", 100.0), 0.03),
-        (Effect("dragging_wheel_left", 60.0), 0.03),
-        (Effect("payload", 30.0), 0.03),
+        (HiddenEffect("viscous_loss", 100.0), 0.03),
+        (HiddenEffect("dragging_wheel_left", 60.0), 0.03),
+        (HiddenEffect("payload", 30.0), 0.03),
         # The treads push against each other, by other moments on every drive.
-        (Effect("drive_efficiency", 0.25), 0.06),
-        (Effect("copper_loss", 0.001), 0.06),
+        (HiddenEffect("drive_efficiency", 0.25), 0.06),
+        (HiddenEffect("copper_loss", 0.001), 0.06),
     ],
-    ids=lambda value: value.name if isinstance(value, Effect) else "",
+    ids=lambda value: value.name if isinstance(value, HiddenEffect) else "",
 )
-def test_after_one_round_the_energy_told_is_right(effect: Effect, near: float) -> None:
+def test_after_one_round_the_energy_told_is_right(effect: HiddenEffect, near: float) -> None:
     first, last = closed(effect).rounds
     assert abs(first.error) > 0.06
     assert abs(last.error) < near
 
 
-def true_model(effect: Effect) -> ep.PowerModel:
+def true_model(effect: HiddenEffect) -> ep.PowerModel:
     """Return the model that knows an effect."""
     if effect.name != "surface_border":
         return MODEL.with_term(term(effect.name), effect.size)
@@ -105,7 +113,7 @@ def test_who_knows_the_effect_takes_another_way(made: Callable[[float], forks.Fo
 @pytest.mark.nightly
 def test_the_second_route_takes_less() -> None:
     fork = forks.rough(0.5)
-    source = EngineDrives(switch_on(Robot.from_model(MODEL), fork.effects))
+    source = EngineDrives(switch_on(EngineRobot.from_model(MODEL), fork.effects))
     problem = fork.problem(MODEL)
     made = close_loop(problem, source, rounds=2, tolerance=0.0, effort=30_000)
     first, last = made.rounds
@@ -161,7 +169,7 @@ def test_an_interval_that_says_nothing_closes_nothing() -> None:
 def test_a_model_that_no_motor_could_drive_ends_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     stuck = MODEL.with_term(term("dragging_wheel_left"), 1e4)
     monkeypatch.setattr(loop, "learn", lambda logs, vehicle: LearnedModel(stuck, ()))
-    source = EngineDrives(switch_on(Robot.from_model(MODEL), [Effect("payload", 30.0)]))
+    source = EngineDrives(switch_on(EngineRobot.from_model(MODEL), [HiddenEffect("payload", 30.0)]))
     made = close_loop(PROBLEM, source, rounds=2, tolerance=0.0, survey=10.0, effort=2_000)
     (only,) = made.rounds
     assert not made.closed
@@ -176,7 +184,7 @@ def test_bad_input_is_named() -> None:
     with pytest.raises(InvalidInputError, match="no log"):
         close_loop(PROBLEM, [])
     with pytest.raises(InvalidInputError, match="rounds"):
-        close_loop(PROBLEM, EngineDrives(Robot.from_model(MODEL)), rounds=0)
+        close_loop(PROBLEM, EngineDrives(EngineRobot.from_model(MODEL)), rounds=0)
 
 
 def test_one_short_drive_tells_resistance_and_friction() -> None:

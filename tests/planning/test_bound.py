@@ -19,6 +19,7 @@ from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, bound, plan
 from energyplan.planning.bound import EFFORT, corners, line, lower_bound
 from energyplan.planning.bound.corners import DiscEnds, ways_to_goal
+from energyplan.planning.bound.headings import EUCLIDEAN
 from energyplan.planning.bound.line import (
     HEADINGS,
     MOST,
@@ -370,7 +371,8 @@ def ways(grid, radius, start, goal, limit=1e3, effort=np.inf, detail=DETAILS[0])
     drawn = outline(grid, radius, detail)
     ends = DiscEnds(*start, *goal)
     paid = np.zeros(len(drawn.point), bool)
-    return ways_to_goal(grid.space, drawn, no_links(len(drawn.point)), paid, ends, limit, effort)
+    links = no_links(len(drawn.point))
+    return ways_to_goal(grid.space, drawn, links, paid, ends, EUCLIDEAN, limit, effort)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -101,6 +101,18 @@ def test_where_no_bound_of_drives_is_known_there_is_no_gap_and_a_note():
     assert document["lower_bound_steady"] <= document["energy_steady"] * (1 + 1e-9)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("objective", ["energy", "time"])
+def test_power_alone_limits_no_speed_at_which_drives_could_be_bounded(objective):
+    strong = ep.MotorLimits(force=900.0, continuous_power=400.0, peak_power=800.0)
+    model = model_of(hotel_load=20.0)
+    free = replace(model, vehicle=replace(model.vehicle, motor=strong, usual_speed=np.inf))
+    plan = planned(free, objective=objective)
+    assert plan.energy_driven > 0
+    assert (plan.lower_bound, plan.gap) == (None, None)
+    assert "nothing limits the speed of the treads" in str(plan)
+
+
 @pytest.mark.parametrize(("name", "known"), [("hotel_load", False), ("turn_asymmetry", True)])
 def test_on_slopes_speed_must_not_matter(name, known):
     rise = ep.HeightMap(np.tile(np.linspace(0, 0.5, 20), (14, 1)), 0.5)

@@ -17,9 +17,14 @@ from energyplan.errors import MissingChannelError
 from energyplan.export.lattice import control_set
 from energyplan.export.table import tabulate
 from energyplan.mission import Mission, Spreads, Task, evaluate
+from energyplan.path import wrap_angle
+from energyplan.planning.bound import lower_bound
+from energyplan.planning.bound.headings import heading_forces
+from energyplan.planning.driven import drive_plan
 from energyplan.planning.graphs import Roadmap, price_edges
+from energyplan.planning.space.compiled import compiled
 from energyplan.power import Sides, Term
-from energyplan.power.effects import with_weight
+from energyplan.power.effects import term, with_weight
 from energyplan.terrain import Surface
 
 BARE = ep.PowerModel.preset("quadriga:empty:marble")
@@ -151,6 +156,87 @@ def test_no_path_of_a_small_map_takes_less_than_the_plan_and_none_less_than_the_
     straight = ep.Path(problem.start, [0, 4 * np.sqrt(2), 0], [np.pi / 4, 0, -np.pi / 4])
     assert found.lower_bound <= found.energy_driven <= least * (1 + 1e-6)
     assert least < 0.8 * problem.terrain.price(straight, cost).energy
+
+
+def of_waves(rng):
+    """Return a force that varies around the circle, with a few waves of any phase."""
+    size, phase = rng.uniform(0, 1, 4), rng.uniform(0, 2 * np.pi, 4)
+
+    def force(yaw):
+        waves = [
+            a * np.cos(k * (yaw - p)) for k, (a, p) in enumerate(zip(size, phase, strict=True), 1)
+        ]
+        return size.sum() + np.sum(waves, axis=0)
+
+    return force
+
+
+@pytest.mark.parametrize(("goal", "gap"), [((12, 4, 0), 1e-9), ((4, 12, np.pi / 2), 1e-4)])
+def test_the_bound_knows_the_direction_of_the_way(goal, gap):
+    """Across the rows it was half of what the straight line takes."""
+    found = ep.plan(ep.PlanningProblem(HALL, CROP, (4, 4, goal[2]), goal), effort=1000)
+    assert -1e-9 < found.gap < gap
+
+
+def test_the_bound_goes_about_obstacles_in_the_directions_that_cost_least():
+    """A wall along the rows, whose end is 6 m away across them: there and back again."""
+    grid = room(160, 160, 0.1, np.s_[20:160, 78:82])
+    found = ep.plan(ep.PlanningProblem(grid, CROP, (4, 8, 0), (12, 8, 0)), effort=8000)
+    assert 0 < found.gap < 0.2
+    across = 2 * 100.0 * 2 * (8.0 - 2.0)
+    assert found.lower_bound > across + 2 * K * 2 * np.hypot(4.0, 6.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_path_about_an_obstacle_takes_less_than_the_bound(seed):
+    rng = np.random.default_rng(seed)
+    row, column = rng.integers(18, 28, 2)
+    grid = room(60, 60, 0.1, np.s_[row : row + 14, column : column + 14])
+    force = of_waves(rng)
+    cost = ep.EnergyCost(depending(force, 150.0))
+    start, goal = (2, 2, int(rng.integers(24))), (10, 10, int(rng.integers(24)))
+    ends = [(0.5 * x, 0.5 * y, h * np.pi / 12) for x, y, h in (start, goal)]
+    least = by_brute_force(grid, force, 150.0, start, goal)
+    bound = lower_bound(compiled(ep.PlanningProblem(grid, cost, *ends)), 3.0 * least).value
+    assert 0.0 < bound <= least * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_zigzag_on_open_ground_takes_less_than_the_bound(seed):
+    """A thousand paths to one pose, of straight lines and turns on the spot, and arcs."""
+    rng = np.random.default_rng(seed)
+    force = of_waves(rng) if seed % 2 else rows if seed % 4 else axes
+    cost = ep.EnergyCost(depending(force, rng.uniform(20, 300)))
+    ends = (3, 3, rng.uniform(-3, 3)), (rng.uniform(6, 13), rng.uniform(3, 13), rng.uniform(-3, 3))
+    problem = ep.PlanningProblem(HALL, cost, *ends)
+    bound = lower_bound(compiled(problem), 1e9).value
+    forces = heading_forces(compiled(problem)).total
+    assert bound >= np.abs(forces @ (np.array(ends[1][:2]) - ends[0][:2])).max()
+    for _ in range(50):
+        via = rng.uniform(3, 13, (rng.integers(0, 4), 2))
+        places = np.array([ends[0][:2], *via, ends[1][:2]])
+        yaw, moves = ends[0][2], []
+        for step in np.diff(places, axis=0):
+            gear = rng.choice([-1, 1])
+            way = np.arctan2(step[1], step[0]) + (0 if gear > 0 else np.pi)
+            moves += [(0.0, wrap_angle(way - yaw)), (gear * np.hypot(*step), 0.0)]
+            yaw = way
+        moves.append((0.0, wrap_angle(ends[1][2] - yaw)))
+        path = ep.Path(ends[0], *np.array(moves, float).T)
+        assert problem.terrain.price(path, cost).energy >= bound * (1 - 1e-9)
+
+
+def test_no_drive_at_any_speed_takes_less_than_the_bound_by_direction():
+    """Rows count for less where a loss that grows with speed adds to them."""
+    viscous = CROP.model.with_term(term("viscous_loss"), 60.0)
+    problem = ep.PlanningProblem(
+        HALL, ep.EnergyCost(viscous), (4, 4, np.pi / 2), (4, 12, np.pi / 2)
+    )
+    found = ep.plan(problem, effort=200)
+    for speed in (0.05, 0.2, 1.0):
+        slow = replace(problem, cost=ep.EnergyCost(viscous, speed=speed))
+        assert found.lower_bound <= drive_plan(slow, found.path).energy
+    assert found.lower_bound > 0.7 * 8 * 2 * (K + 100.0)
 
 
 def test_a_field_that_is_turned_with_its_rows_has_the_same_energies():

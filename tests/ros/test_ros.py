@@ -90,7 +90,7 @@ class Wire:
             use_start=start is not None,
         )  # fmt: skip
 
-    def result(self, found: ros.Answer) -> Any:
+    def result(self, found: ros.PlanResult) -> Any:
         """Fill an action's result with an answer, and send it."""
         more = {} if self.distribution == "humble" else {"error_code": 9, "error_msg": "?"}
         empty = self.make(
@@ -411,7 +411,7 @@ def test_the_same_goal_again_is_planned_on_from_the_answer_before(
 ) -> None:
     goal = wire.stamped(5, 4, 0.5)
 
-    def ask(start: Any, over: ep.OccupancyGrid, **before: Any) -> ros.Answer:
+    def ask(start: Any, over: ep.OccupancyGrid, **before: Any) -> ros.PlanResult:
         there = wire.stamped(*start)
         request = wire.through([goal], there) if through else wire.to_pose(goal, there)
         return ros.answer(wire.sent(request), over, COST, effort=5000, **before)

@@ -123,6 +123,23 @@ def test_what_is_unusual_is_said_and_what_is_impossible_is_refused(
         assert words in refused.json()["detail"]
 
 
+def test_a_plan_and_a_check_say_what_a_drive_asks_of_a_battery(client: TestClient) -> None:
+    asked = {"map": "room.yaml", "model": MODEL, "start": [1, 2, 0], "goal": [4, 2, 0],
+             "effort": 1000}  # fmt: skip
+    pack = {"pack": "24 V 20 Ah lead-acid", "soc": 0.8}
+    assert client.post("/api/plan", json=asked).json()["battery"] is None
+    told = client.post("/api/plan", json={**asked, **pack}).json()
+    assert told["battery"]["peak_power"] > told["energy_driven"] / told["duration"]
+    assert 0.79 < told["battery"]["soc_end"] < 0.8
+    assert any("is typical of its chemistry" in note for note in told["notes"])
+    compared = client.post("/api/compare", json={**asked, **pack}).json()
+    assert compared["energy_optimal"]["battery"]["peak_current"] > 0
+    rows = {"t": [0, 1, 2], "x": [0, 0.5, 1], "y": [0, 0, 0], "yaw": [0, 0, 0], "v": [0.5] * 3,
+            "omega": [0, 0, 0]}  # fmt: skip
+    checked = client.post("/api/check", json={"model": MODEL, **rows, **pack}).json()
+    assert checked["battery"]["peak_power"] == pytest.approx(checked["energy"] / 2.0)
+
+
 def test_a_range_holds_the_places_that_plans_reach(client: TestClient) -> None:
     asked = {"map": "warehouse.yaml", "model": MODEL, "start": [2, 2, 0], "energy": 4000.0}
     told = client.post("/api/range", json=asked).json()

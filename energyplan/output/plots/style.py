@@ -36,11 +36,18 @@ WIDTH = 5.2
 """Width of a picture [inch]: its text can be read in a phone's column of 350 pixels."""
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows, whether or not pyplot was imported."""
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        return png(self), {"width": round(100 * self.get_figwidth())}
+
+
 def figure(
     rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (WIDTH, 3.4), **layout: Any
 ) -> Figure:
     """Return an empty figure in the library's style, without a window."""
-    result = Figure(figsize=size, layout="constrained")
+    result = ShownFigure(figsize=size, layout="constrained")
     for ax in result.subplots(rows, columns, squeeze=False, **layout).flat:
         ax.grid(alpha=0.3)
         ax.spines[["top", "right"]].set_visible(False)

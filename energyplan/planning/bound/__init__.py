@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from energyplan.compilation import processors
+from energyplan.compilation import FloatTable, processors
 from energyplan.planning.bound.corners import DiscEnds, least_over_corners, ways_to_goal
+from energyplan.planning.bound.headings import EUCLIDEAN, heading_forces
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess, least_of_metres
@@ -63,16 +64,26 @@ def lower_bound(
     limit = BOUND.beyond * cost
     if free >= limit or radius <= 0:
         return Bound(float(free), True)
+    spent = {} if spent is None else spent
     excess = least_excess(query, radius, limit)
-    # what expensive surfaces add comes on top of the rates alone
+    forces = heading_forces(query)
+    total = 0.0
+    if forces is not None:
+        turn = 0.0 if any_heading else _turn(setting)
+        total = setting.least_radian * turn
+        total += _least_extent(query.grid, setting, radius, forces.total, limit, effort, spent)
+        if total >= limit:
+            return Bound(total, True)
+        excess += _least_extent(query.grid, setting, radius, forces.excess, limit, effort, spent)
+    # what expensive surfaces and headings add comes on top of the rates alone
     separate = setting if excess == 0.0 else _separate(setting)
     direct = free if excess == 0.0 else _without_obstacles(setting, any_heading)
     among, final = _among_obstacles(
-        query.grid, separate, radius, float(direct), limit - excess, effort,
-        {} if spent is None else spent, any_heading,
-    )  # fmt: skip
+        query.grid, separate, radius, float(direct), limit - excess, effort, spent, any_heading
+    )
+    share = 1.0 if forces is None else forces.rest
     metres = least_of_metres(query, radius, limit)
-    return Bound(max(float(free), among + excess, metres), final)
+    return Bound(max(float(free), share * among + excess, metres, total), final)
 
 
 def least_at_any_heading(kernel: KernelProblem) -> float:
@@ -148,6 +159,34 @@ def _separate(kernel: KernelProblem) -> KernelProblem:
     return kernel._replace(steering=steering)
 
 
+def _turn(kernel: KernelProblem) -> float:
+    """Return the angle between the headings at the start and at the goal [rad]."""
+    return abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
+
+
+def _least_extent(
+    grid: OccupancyGrid,
+    kernel: KernelProblem,
+    radius: float,
+    forces: FloatTable,
+    limit: float,
+    effort: float,
+    spent: Spent,
+) -> float:
+    """Return the least extent of all ways of a disc from start to goal, at most the limit."""
+    ends = DiscEnds(*kernel.start[:2], *kernel.goal[:2])
+    found = sights(grid, radius, DETAILS[-1])
+    found = sights(grid, radius, DETAILS[_finest(found.outline, ends, limit / kernel.least_metre)])
+    paid = spent.setdefault(found, np.zeros(len(found.outline.point), bool))
+    with found.lock:
+        ways = ways_to_goal(
+            kernel.space, found.outline, found.links, paid, ends, forces, limit,
+            SHARES.stage * effort,
+        )  # fmt: skip
+        found.links = ways.links
+    return float(ways.least)
+
+
 def _among_obstacles(
     grid: OccupancyGrid,
     kernel: KernelProblem,
@@ -159,7 +198,7 @@ def _among_obstacles(
     any_heading: bool = False,
 ) -> Bound:
     ends = DiscEnds(*kernel.start[:2], *kernel.goal[:2])
-    turn = 0.0 if any_heading else abs(remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi))
+    turn = 0.0 if any_heading else _turn(kernel)
     # ways of that length cost more than the path that is known
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
     coarsest = sights(grid, radius, DETAILS[-1])
@@ -177,8 +216,9 @@ def _among_obstacles(
     paid = spent.setdefault(found, np.zeros(len(found.outline.point), bool))
     with found.lock:
         ways = ways_to_goal(
-            kernel.space, found.outline, found.links, paid, ends, longest, SHARES.stage * effort
-        )
+            kernel.space, found.outline, found.links, paid, ends, EUCLIDEAN, longest,
+            SHARES.stage * effort,
+        )  # fmt: skip
         found.links = ways.links
         left = effort - ways.steps
         value, final = 0.0, True

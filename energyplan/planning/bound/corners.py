@@ -49,12 +49,12 @@ class DiscEnds(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """Shortest ways to the goal."""
+    """Shortest ways to the goal: in metres, or in the unit of the forces that measure them."""
 
-    to_goal: Floats  # (n,): at least how far the goal is from each corner [m]
-    from_start: Floats  # (n,): from the start to each corner in its sight, else infinite [m]
-    at_goal: Floats  # (n,): from the goal to each corner in its sight, else infinite [m]
-    least: float  # at least how far the goal is from the start [m]
+    to_goal: Floats  # (n,): at least how far the goal is from each corner
+    from_start: Floats  # (n,): from the start to each corner in its sight, else infinite
+    at_goal: Floats  # (n,): from the goal to each corner in its sight, else infinite
+    least: float  # at least how far the goal is from the start
     direct: bool  # whether the start sees the goal
     steps: float  # steps taken
     final: bool  # whether the search came to its end
@@ -62,9 +62,20 @@ class Ways(NamedTuple):
 
 
 @inner
+def extent(forces: FloatTable, dx: float, dy: float) -> float:
+    """Return the greatest work of any force along a line, or its length where none is given."""
+    if len(forces) == 0:
+        return hypot(dx, dy)
+    most = 0.0
+    for k in range(len(forces)):
+        most = max(most, abs(forces[k, 0] * dx + forces[k, 1] * dy))
+    return most
+
+
+@inner
 def _seen_from(
-    space: Space, outline: Outline, x: float, y: float, other_x: float, other_y: float,
-    limit: float, out: Floats,
+    space: Space, outline: Outline, forces: FloatTable, x: float, y: float, other_x: float,
+    other_y: float, limit: float, out: Floats,
 ) -> float:  # fmt: skip
     """Fill in the lengths of the lines from a point to the corners; return the steps it took."""
     steps = float(len(out))
@@ -72,9 +83,10 @@ def _seen_from(
         out[v] = inf
         dx = outline.point[v, 0] - x
         dy = outline.point[v, 1] - y
-        length = hypot(dx, dy)
-        beyond = hypot(outline.point[v, 0] - other_x, outline.point[v, 1] - other_y)
-        if length < 1e-12 or length + beyond >= limit or side(outline, v, dx, dy) == 0:
+        length = extent(forces, dx, dy)
+        beyond = extent(forces, outline.point[v, 0] - other_x, outline.point[v, 1] - other_y)
+        none = hypot(dx, dy) < 1e-12
+        if none or length + beyond >= limit or side(outline, v, dx, dy) == 0:
             continue
         met = sight(space, outline, x, y, outline.point[v, 0], outline.point[v, 1])
         steps += 10.0 * met.steps
@@ -90,10 +102,16 @@ def ways_to_goal(
     links: Links,
     paid: Flags,
     ends: DiscEnds,
+    forces: FloatTable,
     limit: float,
     effort: float,
 ) -> Ways:
-    """Return the shortest ways to the goal from all corners that a short way can touch, by A*."""
+    """Return the shortest ways to the goal from all corners that a short way can touch, by A*.
+
+    A string that is drawn taut is shortest of all ways about the same obstacles in every norm, for
+    each norm of the plane is a sum of distances along some directions, and the string crosses no
+    line twice. So the corners at which it bends are the same, whatever measures its lines.
+    """
     n = len(outline.point)
     ux = ends.start_x
     uy = ends.start_y
@@ -101,8 +119,8 @@ def ways_to_goal(
     at_goal = np.empty(n)
     to_goal = np.empty(n)
     expanded = np.empty(n, np.bool_)
-    steps = _seen_from(space, outline, ux, uy, ends.goal_x, ends.goal_y, limit, from_start)
-    steps += _seen_from(space, outline, ends.goal_x, ends.goal_y, ux, uy, limit, at_goal)
+    steps = _seen_from(space, outline, forces, ux, uy, ends.goal_x, ends.goal_y, limit, from_start)
+    steps += _seen_from(space, outline, forces, ends.goal_x, ends.goal_y, ux, uy, limit, at_goal)
     direct = sight(space, outline, ux, uy, ends.goal_x, ends.goal_y).free
     heap_f = np.empty(1 << 12)
     heap_node = np.empty(1 << 12, np.int32)
@@ -110,11 +128,11 @@ def ways_to_goal(
     for v in range(n):
         expanded[v] = False
         to_goal[v] = at_goal[v]
-        f = at_goal[v] + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
+        f = at_goal[v] + extent(forces, outline.point[v, 0] - ux, outline.point[v, 1] - uy)
         if f < limit:
             heap_f, heap_node = with_room(heap_f, heap_node, size)
             size = push(heap_f, heap_node, size, f, v)
-    least = hypot(ends.goal_x - ux, ends.goal_y - uy) if direct else inf
+    least = extent(forces, ends.goal_x - ux, ends.goal_y - uy) if direct else inf
     frontier = limit
     final = True
     while size > 0:
@@ -123,9 +141,9 @@ def ways_to_goal(
         size = pop(heap_f, heap_node, size)
         if expanded[at]:
             continue
-        if steps > effort:
+        if steps > effort or (len(forces) > 0 and f >= least):
             frontier = f
-            final = False
+            final = f >= least
             break
         expanded[at] = True
         here = to_goal[at]
@@ -139,18 +157,20 @@ def ways_to_goal(
             v = int(links.seen[i])
             dx = outline.point[v, 0] - outline.point[at, 0]
             dy = outline.point[v, 1] - outline.point[at, 1]
-            there = here + hypot(dx, dy)
+            there = here + extent(forces, dx, dy)
             if expanded[v] or there >= to_goal[v]:
                 continue
             to_goal[v] = there
-            f = there + hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
+            f = there + extent(forces, outline.point[v, 0] - ux, outline.point[v, 1] - uy)
             if f < limit:
                 heap_f, heap_node = with_room(heap_f, heap_node, size)
                 size = push(heap_f, heap_node, size, f, v)
     for v in range(n):
         if not expanded[v]:
-            away = hypot(outline.point[v, 0] - ux, outline.point[v, 1] - uy)
-            straight = hypot(outline.point[v, 0] - ends.goal_x, outline.point[v, 1] - ends.goal_y)
+            away = extent(forces, outline.point[v, 0] - ux, outline.point[v, 1] - uy)
+            dx = outline.point[v, 0] - ends.goal_x
+            dy = outline.point[v, 1] - ends.goal_y
+            straight = extent(forces, dx, dy)
             to_goal[v] = max(straight, frontier - away)
     return Ways(to_goal, from_start, at_goal, min(least, frontier), direct, steps, final, links)
 

@@ -331,18 +331,24 @@ class LeastPrices:
     _kept: _Kept
 
     def price(
-        self, x: FloatArray, y: FloatArray, regions: Iterable[int] | None = None
-    ) -> FloatArray:
-        """Return the price on each ground, at its cheapest slope."""
+        self, x: FloatArray, y: FloatArray, regions: Iterable[int] | None = None,
+        yaw: ArrayLike | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """Return the price on each ground, at its cheapest slope, and heading unless one is given.
+
+        A heading holds on level ground alone.
+        """
         turn = y / self.objective.cost.half_track
         regions = range(len(self.objective.costs)) if regions is None else regions
         ahead = np.maximum(np.abs(x), self.radius * np.abs(turn))
         ds = np.where(x < 0.0, -ahead, ahead) + self.lateral * turn
-        return np.array([self._cheapest(k, ds, turn) for k in regions])
+        return np.array([self._cheapest(k, ds, turn, yaw) for k in regions])
 
-    def _cheapest(self, ground: int, ds: FloatArray, turn: FloatArray) -> FloatArray:
+    def _cheapest(
+        self, ground: int, ds: FloatArray, turn: FloatArray, yaw: ArrayLike | None
+    ) -> FloatArray:
         if not self.steepest > 0:
-            return self.objective.motion(ds, turn, ground, exact=True)
+            return self.objective.motion(ds, turn, ground, exact=True, yaw=yaw)
 
         def sloping(steep: FloatArray) -> FloatArray:
             price = self.objective.floor(ds, turn, ground, steep)

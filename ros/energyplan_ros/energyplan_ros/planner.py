@@ -113,7 +113,7 @@ class PlannerNode(LifecycleNodeMixin, Node):
         self.said: set[str] = set()  # of masks, which may come again and again
         self.open: ep.OccupancyGrid | None = None  # the map with the mask
         self.missing = f"no map has come on {self.settings['map_topic']}; publish one"
-        self.answered: ros.Answer | None = None  # Nav2 asks for the same goal again and again
+        self.answered: ros.PlanResult | None = None  # Nav2 asks for the same goal again and again
         self.buffer = Buffer()
         self.listener = TransformListener(self.buffer, self)
         self.bond = Bond(self)
