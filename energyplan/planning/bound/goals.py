@@ -1,13 +1,14 @@
 """What no path to any pose of a goal can cost less than.
 
 A goal at any heading has a bound over all of them. One that is reached somewhere in a disc has the
-bound of the point of it that is nearest and straightest ahead, without obstacles; among obstacles,
-that of its middle, less what going on there takes at most.
+least bound of its sectors, without obstacles; among obstacles, that of its middle, less what going
+on there takes at most.
 """
 
 from __future__ import annotations
 
-from math import asin, atan2, cos, hypot, inf, pi, remainder, sin
+from itertools import pairwise
+from math import asin, atan2, cos, hypot, inf, pi, remainder, sin, sqrt
 
 import numpy as np
 
@@ -23,7 +24,9 @@ from energyplan.planning.bound import (
 from energyplan.planning.goal import Goal
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.planning.space.motions import KernelProblem, free_energy
+from energyplan.planning.space.motions import DIRECTIONS, KernelProblem, free_energy
+
+_SECTORS = 48  # parts of a disc, by the direction from the start, whose least cost is found alone
 
 
 def least_to_goal(
@@ -74,37 +77,62 @@ def _to_disc(
     middle = Pose(goal.x, goal.y, 0.0 if yaw is None else yaw)
     if yaw is not None:
         middle = query.centre(middle)
-    known = Bound(_least_in_disc(setting, middle, around), False)
-    # all of the disc is this near to the pose of the query
-    far = around + hypot(setting.goal.x - middle.x, setting.goal.y - middle.y)
+    known = Bound(_least_in_disc(setting, middle, around, any_heading=yaw is None), False)
     grid = query.grid
-    row_column = np.floor(grid.to_cells(setting.goal[:2])).astype(int)[::-1]
-    room = grid.space.clearance[tuple(row_column)] * grid.resolution
-    if not (cost > known.value and room > inscribed(query) + far + 2.0 * grid.resolution):
+    column, row = np.floor(grid.to_cells(middle[:2])).astype(int)
+    rows, columns = grid.shape
+    if not (cost > known.value and 0 <= row < rows and 0 <= column < columns):
         return known
-    found = lower_bound(query, cost, effort, any_heading=True)
-    # from anywhere in it the disc of the bound turns, and goes on to the query's pose
-    on = setting.least_metre * far + setting.least_radian * pi / (2.0 if setting.gear == 0 else 1.0)
+    room = float(grid.space.clearance[row, column]) * grid.resolution
+    if not room > inscribed(query) + around + 2.0 * grid.resolution:
+        return known
+    # from anywhere in it the disc of the bound turns, and goes on to the middle
+    on = around * float(query.prices[:, :: DIRECTIONS // 2].max())
+    on += setting.least_radian * pi / (2.0 if setting.gear == 0 else 1.0)
+    found = lower_bound(query.toward(middle), cost + on, effort, any_heading=True)
     return Bound(max(known.value, found.value - on), found.final)
 
 
-def _least_in_disc(setting: KernelProblem, middle: Pose, around: float) -> float:
-    """Return a lower bound of the least cost without obstacles to any pose in a disc."""
+def _least_in_disc(
+    setting: KernelProblem, middle: Pose, around: float, *, any_heading: bool
+) -> float:
+    """Return a lower bound of the least cost without obstacles to any pose in a disc.
+
+    At any heading a place costs the more the further away it is, and the further from straight
+    ahead. So the points of a sector cost no less than one as near as the nearest of them that is as
+    far ahead as any of them. The middle has the goal's heading, if that matters.
+    """
     dx, dy = middle.x - setting.start.x, middle.y - setting.start.y
     away = hypot(dx, dy)
     if away <= around:
         return 0.0
-    aside = remainder(atan2(dy, dx) - setting.start.yaw, 2.0 * pi)
-    # backwards counts as ahead for a robot that reverses
-    facing = 0.0 if setting.gear != 0 or abs(aside) <= 0.5 * pi else pi
-    ahead = abs(remainder(aside - facing, 2.0 * pi))
-    ahead = max(ahead - asin(around / away), 0.0) + setting.start.yaw
-    nearest = Pose(
-        setting.start.x + (away - around) * cos(ahead),
-        setting.start.y + (away - around) * sin(ahead),
-        setting.goal.yaw,
-    )
-    return least_at_any_heading(setting._replace(goal=nearest))
+    ahead = atan2(dy, dx) - setting.start.yaw
+    wide = asin(around / away)
+
+    def aside(angle: float) -> float:
+        """Return how far a direction is from straight ahead, or back for a robot that reverses."""
+        off = abs(remainder(angle, 2.0 * pi))
+        return min(off, pi - off) if setting.gear == 0 else off
+
+    limits = np.linspace(-wide, wide, _SECTORS + 1).tolist()
+    least = inf
+    for low, high in pairwise(limits):
+        nearest = max(low, -high, 0.0)
+        distance = away * cos(nearest) - sqrt(max(around**2 - (away * sin(nearest)) ** 2, 0.0))
+        off = min(aside(ahead + low), aside(ahead + high))
+        if aside(ahead + 0.5 * (low + high)) < off:  # straight ahead lies within
+            off = 0.0
+        place = setting.start.yaw + off
+        at = Pose(
+            setting.start.x + distance * cos(place),
+            setting.start.y + distance * sin(place),
+            setting.goal.yaw,
+        )
+        least = min(least, least_at_any_heading(setting._replace(goal=at)))
+    if any_heading:
+        return least
+    turn = abs(remainder(middle.yaw - setting.start.yaw, 2.0 * pi))
+    return max(least, setting.least_metre * (away - around) + setting.least_radian * turn)
 
 
 def _least_potential(query: CompiledProblem, goal: Goal) -> float:

@@ -6,6 +6,7 @@ that counts, of the path's reference point; `CompiledProblem` translates.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -324,6 +325,12 @@ class CompiledProblem:
         radii = self.problem.radii
         count = len(self.costs)
         return np.repeat(np.resize(np.array(radii), count), self._levels)
+
+    def toward(self, goal: Pose) -> CompiledProblem:
+        """Return the same with the centre's goal at another pose, free or not, for bounds."""
+        other = copy(self)
+        vars(other)["setting"] = self.setting._replace(goal=goal)
+        return other
 
     def _steering_on(self, radius: float) -> StaticSteering:
         """Return the static cost that steering on arcs of a radius at least solves [m]."""
