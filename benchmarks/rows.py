@@ -1,9 +1,10 @@
 """Rows of a field in the order of least energy: against row after row, and its processor time.
 
-    python benchmarks/rows.py [ROWS...] [--effort UNITS] [--seed SEED] [--trees]
+    python benchmarks/rows.py [ROWS...] [--effort UNITS] [--seed SEED] [--trees | --map MAP]
 
 Rows are parallel, 2 m apart, and differ in length and place; each may be driven either way. With
-trees a line of them stands between each two rows, so that the robot turns beyond its ends.
+trees a line of them stands between each two rows, so that the robot turns beyond its ends. On a map
+they are lines of 2 to 6 m by chance, along its walls, wherever the robot is free.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 from energyplan.battery import Battery
+from energyplan.io.files import bundled
+from energyplan.io.maps import read_map
 from energyplan.mission import Mission, Spreads, Task, evaluate
 from energyplan.mission.routes import Routes
+from energyplan.mission.types import blocked
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -40,11 +44,28 @@ def field(rows: int, seed: int, effort: int, trees: bool = False) -> Mission:
     )  # fmt: skip
 
 
-def main(counts: list[int], seed: int, effort: int, trees: bool) -> None:
+def on_map(rows: int, seed: int, effort: int, name: str) -> Mission:
+    """Return rows on a map, half of them across the others."""
+    rng, grid = np.random.default_rng(seed), read_map(bundled(name))
+    whole = field(1, seed, effort)
+    low, high = grid.corners.min(axis=0), grid.corners.max(axis=0)
+    tasks: list[Task] = []
+    while len(tasks) < rows:
+        begin, length = rng.uniform(low, high), float(rng.uniform(2.0, 6.0))
+        end = begin + length * np.array([(1.0, 0.0), (0.0, 1.0)][len(tasks) % 2])
+        row = Task(f"row {len(tasks) + 1}", path=[tuple(begin), tuple(end)], power=80.0)
+        path = row.options[0].path(whole.vehicle.icr.longitudinal)
+        if grid.inside(end) and not blocked(grid, whole.vehicle, path):
+            tasks.append(row)
+    return replace(whole, map=grid, tasks=tuple(tasks))
+
+
+def main(counts: list[int], seed: int, effort: int, trees: bool, name: str | None) -> None:
     """Print a line for each number of rows."""
     evaluate(field(3, seed, effort))  # compiles the kernels
     for count in counts:
-        asked, routes = field(count, seed, effort, trees), Routes()
+        asked = on_map(count, seed, effort, name) if name else field(count, seed, effort, trees)
+        routes = Routes()
         begun = time.process_time()
         found = evaluate(asked, routes=routes)
         spent = time.process_time() - begun
@@ -65,5 +86,6 @@ if __name__ == "__main__":
     parser.add_argument("--effort", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--trees", action="store_true")
+    parser.add_argument("--map", help="a bundled map, such as warehouse.yaml")
     given = parser.parse_args()
-    main(given.rows, given.seed, given.effort, given.trees)
+    main(given.rows, given.seed, given.effort, given.trees, given.map)

@@ -454,7 +454,7 @@ class Evaluation:
         step = REMEDYING.finer * full if powerless else 3600.0
 
         def remedy(n: int) -> Remedy:
-            strings = Remedy("strings", 1.0 + REMEDYING.finer * n, "1")
+            strings = Remedy("capacity", 1.0 + REMEDYING.finer * n, "1")
             return strings if powerless else Remedy("capacity", step * n, "J")
 
         low, high = 0, max(int(np.ceil(self.sim.shortfall(safe) / step)), 1)
@@ -475,7 +475,7 @@ class Evaluation:
     def _slower(self, tasks: Sequence[int], safe: Status) -> list[Remedy]:
         """Return another speed that helps, if any: that of least energy, or one of less power."""
         given, top = self.mission.tread_speed, float(self.mission.vehicle.motor.speed)
-        remedies = [] if given is None else [Remedy("cheapest_speed")]
+        remedies = [] if given is None else [Remedy("speed")]
         if safe.worst.failure in SAGS and np.isfinite(top):
             most = min(top, given or top)
             remedies += [Remedy("speed", share * most, "m/s") for share in (0.75, 0.5, 0.25)]
@@ -488,9 +488,8 @@ class Evaluation:
         if not isinstance(battery, Battery):
             return []
         low, high = battery.min_charge_temperature, battery.max_charge_temperature
-        cold = battery.temperature < low
-        remedy = Remedy("warm", low, "degC") if cold else Remedy("cool", high, "degC")
-        return self._first(tasks, [remedy])
+        degrees = low if battery.temperature < low else high
+        return self._first(tasks, [Remedy("temperature", degrees, "degC")])
 
     def _less_charge(self, end: Status) -> tuple[tuple[Remedy, ...], float]:
         """Return the least charge to leave chargers with, and the time that it saves [s]."""
@@ -509,7 +508,10 @@ class Evaluation:
             return None if then is None or then.total.mean > most else then
 
         low, high = int(100 * self.mission.reserve + ROUNDING) + 1, int(100 * max(levels))
-        remedies = [Remedy("until", percent / 100, "1") for percent in range(low, high + 1)]
+        remedies = [
+            Remedy("charge", percent / 100, "1", where="chargers")
+            for percent in range(low, high + 1)
+        ]
         least = bisect_left(remedies, True, key=lambda remedy: last(remedy) is not None)
         for remedy in remedies[least : least + REMEDYING.candidates]:
             then = last(remedy)
@@ -555,7 +557,7 @@ class Evaluation:
     def _anew(self, remedy: Remedy) -> Evaluation:
         """Return the whole mission with a remedy, driven; at another speed routes change."""
         changed = self.mission.with_remedy(remedy)
-        anew = remedy.kind in ("drop", "speed", "cheapest_speed")
+        anew = remedy.kind in ("drop", "speed")
         again = Evaluation(changed, None, self.legs.under(changed, anew=anew))
         again.go()
         return again

@@ -57,25 +57,7 @@ from energyplan.terrain import (
 )
 from energyplan.vehicle import Vehicle
 
-RemedyKind = Literal[
-    "warm", "cool", "charge", "capacity", "strings", "reserve", "speed", "cheapest_speed", "window",
-    "drop", "until",
-]  # fmt: skip
-
-_SENTENCES: dict[RemedyKind, str] = {
-    "warm": "charge indoors, above {amount:g} degC",
-    "cool": "charge in a cool place, below {amount:g} degC",
-    "charge": "charge to {percent:.0f} % before leaving",
-    "capacity": "a battery with {hours:.0f} Wh more",
-    "strings": "a battery with {amount:.4g} times the strings in parallel, or cells of so much "
-    "more power",
-    "reserve": "a reserve of {percent:.3g} %",
-    "speed": "drive at up to {amount:.3g} m/s",
-    "cheapest_speed": "drive at the speed of least energy",
-    "window": "let it begin {amount:.0f} s later",
-    "drop": "drop {task!r}",
-    "until": "leave the chargers at {percent:.0f} %",
-}
+RemedyKind = Literal["temperature", "charge", "capacity", "reserve", "speed", "window", "drop"]
 
 
 @dataclass(frozen=True)
@@ -83,15 +65,32 @@ class Remedy:
     """A change that makes a task reachable or a mission shorter; see `Mission.with_remedy`."""
 
     kind: RemedyKind  # what to change
-    amount: float | None = None  # how much, in `unit`
+    # how much, in `unit`: of the battery an energy more, or a factor of its strings; None of a
+    # speed stands for that of least energy
+    amount: float | None = None
     unit: str = ""  # unit of the amount
     task: str = ""  # the task that is changed or dropped
+    where: Literal["start", "chargers"] = "start"  # to charge so far
 
     def __str__(self) -> str:
         amount = 0.0 if self.amount is None else self.amount
-        return _SENTENCES[self.kind].format(
-            amount=amount, percent=100 * amount, hours=amount / 3600, task=self.task
-        )
+        percent = f"{html.number(100 * amount, 3)} %"
+        if self.kind == "temperature":
+            return f"charge at a battery temperature of {amount:g} degC"
+        if self.kind == "charge":
+            start = f"charge to {percent} before leaving"
+            return start if self.where == "start" else f"leave the chargers at {percent}"
+        if self.kind == "capacity":
+            more = f"{amount:.4g} times the strings in parallel, or cells of so much more power"
+            return f"a battery with {more if self.unit == '1' else f'{amount / 3600:.0f} Wh more'}"
+        if self.kind == "reserve":
+            return f"a reserve of {percent}"
+        if self.kind == "speed":
+            least = self.amount is None
+            return f"drive at {'the speed of least energy' if least else f'up to {amount:.3g} m/s'}"
+        if self.kind == "window":
+            return f"let it begin {amount:.0f} s later"
+        return f"drop {self.task!r}"
 
 
 def require(condition: object, message: str, *place: str | int) -> None:
@@ -1192,17 +1191,17 @@ class Mission(ReadOnly, html.Readable):
             require(remedy.task in names, f"no task is called {remedy.task!r}")
         if remedy.kind == "drop":
             return replace(self, tasks=tuple(t for t in self.tasks if t.name != remedy.task))
-        if remedy.kind == "cheapest_speed":
-            return replace(self, speed="cheapest")
+        if remedy.kind == "speed":
+            return replace(self, speed="cheapest" if remedy.amount is None else remedy.amount)
         require(remedy.amount is not None, f"the remedy {remedy.kind!r} has no amount")
         amount = float(remedy.amount or 0.0)
-        if remedy.kind in ("warm", "cool"):
+        if remedy.kind == "temperature":
             moved = tuple(
                 replace(one, temperature=amount) if self.charging_fault(one) else one
                 for one in self.chargers
             )
             return replace(self, chargers=moved)
-        if remedy.kind == "until":
+        if remedy.kind == "charge" and remedy.where == "chargers":
             less = tuple(replace(one, until=min(one.until, amount)) for one in self.chargers)
             return replace(self, chargers=less)
         if remedy.kind == "window":
@@ -1210,13 +1209,12 @@ class Mission(ReadOnly, html.Readable):
             first, last = self.tasks[k].window
             later = replace(self.tasks[k], window=(first, last + amount))
             return replace(self, tasks=(*self.tasks[:k], later, *self.tasks[k + 1 :]))
-        if remedy.kind == "strings":
-            amount = (amount - 1.0) * self.battery.full_energy
-        if remedy.kind in ("capacity", "strings"):
-            return replace(self, battery=self.battery.larger(amount))
-        key = {"charge": "soc"}.get(remedy.kind, remedy.kind)
-        changes: dict[str, Any] = {key: amount}
-        return replace(self, **changes)
+        if remedy.kind == "capacity":
+            more = (amount - 1.0) * self.battery.full_energy if remedy.unit == "1" else amount
+            return replace(self, battery=self.battery.larger(more))
+        if remedy.kind == "reserve":
+            return replace(self, reserve=amount)
+        return replace(self, soc=amount)
 
 
 def _corrected(mission: Mission, model: PowerModel) -> Mission:

@@ -142,7 +142,7 @@ def test_what_takes_no_charge_is_said_where_charge_is_needed_and_where_not(order
     told = report.task("end")
     assert (told.verdict, told.reason) == ("unreachable", "battery")
     assert "the battery is at -5 degC and is charged from 0 to 45 degC only" in told.detail
-    assert told.remedy.startswith("charge indoors, above 0 degC, or")
+    assert told.remedy.startswith("charge at a battery temperature of 0 degC, or")
     said = "no charge at 'a', 'b': the battery is at -5 degC"
     assert [one for one in report.warnings if one.startswith(said)]
     rich = evaluate(replace(cold, battery=replace(cold.battery, capacity=3600.0)))
@@ -159,12 +159,16 @@ def test_what_takes_no_charge_is_said_where_charge_is_needed_and_where_not(order
 def test_each_kind_of_remedy_is_told_of_some_mission() -> None:
     reports = [evaluate(charged()), *(reported(name, "given") for name in troubled())]
     kinds = {
-        remedy.kind
+        (remedy.kind, remedy.amount is None, remedy.unit, remedy.where)
         for report in reports
         for remedies in (report.remedies, *(task.remedies for task in report.tasks))
         for remedy in remedies
     }
-    assert kinds == set(get_args(RemedyKind))
+    assert {kind for kind, *_ in kinds} == set(get_args(RemedyKind))
+    assert len(get_args(RemedyKind)) == 7
+    for of_two in (("capacity", False, "1", "start"), ("speed", True, "", "start"),
+                   ("charge", False, "1", "chargers")):  # fmt: skip
+        assert of_two in kinds
 
 
 @pytest.mark.parametrize("drawn", by_day([((6,), 2), ((1, 5, 6, 9, 10), 18)], [((6,), 2)]))
@@ -196,9 +200,9 @@ def test_where_power_is_the_limit_the_remedy_names_power() -> None:
     asked = troubled()["current"]
     told = evaluate(asked).tasks[0]
     assert told.shortfall == 0
-    kinds = {remedy.kind: remedy for remedy in told.remedies}
-    assert "capacity" not in kinds and "Wh more" not in told.remedy
-    assert kinds["strings"].amount == pytest.approx(2.0, rel=0.03)
+    (battery,) = (remedy for remedy in told.remedies if remedy.kind == "capacity")
+    assert battery.unit == "1" and "Wh more" not in told.remedy
+    assert battery.amount == pytest.approx(2.0, rel=0.03)
     assert "2 times the strings in parallel" in told.remedy
     # capacity alone, with the currents as they are, does not help
     battery = asked.battery
@@ -221,7 +225,7 @@ def test_another_speed_is_told_with_the_routes_that_are_planned_for_it(monkeypat
         routes = Routes()
         tasks = evaluate(asked, routes=routes).tasks
         told = [remedy for task in tasks for remedy in task.remedies]
-        speed = min(remedy.amount for remedy in told if remedy.kind == "speed")
+        speed = min(remedy.amount for remedy in told if remedy.kind == "speed" and remedy.amount)
         assert speed in planned
         planned.clear()
         assert evaluate(asked.with_remedy(Remedy("speed", speed, "m/s")), routes=routes).feasible
@@ -247,10 +251,10 @@ def test_charging_no_further_than_needed_is_proposed_with_the_minutes_that_it_sa
     asked = charged(order=order)
     report = evaluate(asked)
     (remedy,) = report.remedies
-    assert remedy == Remedy("until", remedy.amount, "1")
+    assert remedy == Remedy("charge", remedy.amount, "1", where="chargers")
     best = round(100 * remedy.amount)
     tried = {
-        percent: evaluate(asked.with_remedy(Remedy("until", percent / 100, "1")))
+        percent: evaluate(asked.with_remedy(Remedy("charge", percent / 100, "1", where="chargers")))
         for percent in (best - 10, best - 2, best - 1, best, best + 1, best + 2, best + 10, 90)
     }
     lasting = {percent: one.duration for percent, one in tried.items() if one.feasible}
@@ -261,8 +265,8 @@ def test_charging_no_further_than_needed_is_proposed_with_the_minutes_that_it_sa
     told = f"leave the chargers at {100 * remedy.amount:.0f} %: {minutes}"
     assert told in report.sentence
     document = documents.mission(report)
-    assert document["remedies"] == [{"kind": "until", "amount": remedy.amount, "unit": "1",
-                                     "task": ""}]  # fmt: skip
+    assert document["remedies"] == [{"kind": "charge", "amount": remedy.amount, "unit": "1",
+                                     "task": "", "where": "chargers"}]  # fmt: skip
     assert document["time_saved"] == report.time_saved
     assert evaluate(asked.with_remedy(remedy)).remedies == ()
 

@@ -51,7 +51,7 @@ def test_the_page_offers_every_language() -> None:
 
 def test_every_kind_that_the_service_answers_has_a_text() -> None:
     for prefix, kinds in (("reason", Reason), ("remedy", RemedyKind), ("verdict", Verdict)):
-        known = {key.partition(".")[2] for key in TEXTS["en"] if key.startswith(f"{prefix}.")}
+        known = {key.split(".")[1] for key in TEXTS["en"] if key.startswith(f"{prefix}.")}
         assert known == {*get_args(kinds)} - {"none"}, prefix
 
 

@@ -470,9 +470,10 @@ function headline(told, needed) {
   return [...first, ...(lost ? [counted("optional_out", lost, { all })] : [])].join(" ");
 }
 
-function remedyText({ kind, amount, task }) {
+function remedyText({ kind, amount, unit, task, where }) {
   const value = amount ?? 0;
-  return t(`remedy.${kind}`, { amount: figure(value, 4), percent: `${figure(100 * value, 3)} %`, energy: `${number(value / 3600)} Wh`, minutes: figure(value / 60, 2), task });
+  const which = kind === "speed" && amount == null ? ".cheapest" : kind === "capacity" && unit === "1" ? ".strings" : where === "chargers" ? ".chargers" : "";
+  return t(`remedy.${kind}${which}`, { amount: figure(value, 4), percent: `${figure(100 * value, 3)} %`, energy: `${number(value / 3600)} Wh`, minutes: figure(value / 60, 2), task });
 }
 
 // Why a task is left out, and what would change that; the service's own words are its title.
