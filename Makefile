@@ -95,6 +95,7 @@ loop: $(READY)
 # The pictures of the README and the documentation, drawn by the demo and the examples.
 pictures: demo
 	mkdir -p docs/pictures
+	cp $(OUT)/routes/demo_driven.json examples/
 	cp $(OUT)/mission-charge.png $(OUT)/prediction-quadriga-full-marble.png docs/pictures/
 	$(BIN)/python examples/plan_depot.py --goal 20,12,90 --out $(OUT)/plan_depot
 	cp $(OUT)/plan_depot/routes.png docs/pictures/

@@ -290,7 +290,8 @@ class Battery(ByValue, html.Readable):
         )
         base = cls.from_units(given.get("name", "battery"), **units) if units else cls.of(words)
         notes = () if "resistance" in given else base.notes
-        return {**vars(base), "notes": notes, **given}
+        capacity = f"{base.capacity!r} C"  # with its unit: plain numbers of a file may be doubted
+        return {**vars(base), "capacity": capacity, "notes": notes, **given}
 
     def __post_init__(self) -> None:
         soc, ocv = self.soc_points, self.ocv_points

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import degrees
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from typer import Argument, Option
 
@@ -18,6 +20,49 @@ export = App(rich_markup_mode=None, help="Write energies for other planners.")
 app.add_typer(export, name="export")
 
 
+@dataclass(frozen=True)
+class GraphRoute:
+    """A route along the edges of a graph."""
+
+    source: Annotated[int | None, Option(metavar="ID", help="Node at which a route starts.")] = None
+    target: Annotated[
+        list[int] | None,
+        Option(
+            metavar="ID",
+            help="Node to which it leads. Given several times, the one that takes least.",
+        ),
+    ] = None
+    start_yaw: Annotated[
+        str | None, Option(help="Its heading at the start, such as 90deg; any if left out.")
+    ] = None
+    goal_yaw: Annotated[str | None, Option(help="Its heading at the end; any if left out.")] = None
+    goal_heading: Annotated[
+        Literal["given", "either", "any"] | None,
+        Option(help="Whether the heading at the end is as given, that or its opposite, or any."),
+    ] = None
+
+    @property
+    def yaws(self) -> dict[str, Any]:
+        """Yaws and heading as `PlannedGraph.route` takes them."""
+        from energyplan.path import parse_pose
+
+        if (self.source is None) != (not self.target):
+            raise InvalidInputError("a route has a --source and a --target; give the other one too")
+        found: dict[str, Any] = {
+            name: parse_pose(["0", "0", text]).yaw
+            for name, text in (("start_yaw", self.start_yaw), ("goal_yaw", self.goal_yaw))
+            if text is not None
+        }
+        if self.goal_heading:
+            found["goal_heading"] = self.goal_heading
+        if found and self.source is None:
+            raise InvalidInputError(
+                "--start-yaw, --goal-yaw and --goal-heading are of a route; give --source and "
+                "--target too"
+            )
+        return found
+
+
 @export.command(
     epilog="Example: energyplan export graph graph.geojson --map warehouse.yaml "
     "--model quadriga:empty:concrete --out priced.geojson"
@@ -26,6 +71,7 @@ def graph(
     file: Annotated[Path, Argument(help="A route graph of Nav2's route server (GeoJSON).")],
     map_file: opt.MapFile,
     model: opt.ModelName,
+    ends: GraphRoute,
     at_battery: opt.AtBattery = False,
     effort: Annotated[
         int | None, Option(min=1, help="Work for each edge; 50000 is about 1 s.")
@@ -42,12 +88,14 @@ def graph(
     """Plan the edges of a route graph among obstacles.
 
     Prices each edge with the energy of the path found along it, and names those that are closed.
+    With --source and --target, prints the route of least energy along them too.
     """
     from energyplan.export.graph import read_route_graph, write_route_graph
     from energyplan.path import as_pose
     from energyplan.planning.graphs import EFFORT
     from energyplan.planning.graphs import plan_edges as run
 
+    yaws = ends.yaws
     places = read_route_graph(file)
     if len(places) == 0:
         raise InvalidInputError(f"{file} holds no nodes; give points with an id")
@@ -64,7 +112,19 @@ def graph(
              for one, energy in result.energies.items()]  # fmt: skip
     lines = [f"{edge['source']} to {edge['target']}: {edge['energy']:.0f} J" for edge in edges]
     lines += [f"{one.source} to {one.target} is closed: {one.reason}" for one in result.closed]
-    answer({"edges": edges, "closed": [one._asdict() for one in result.closed]}, lines, json=json)
+    route = None
+    if ends.source is not None:
+        path = result.route(ends.source, ends.target, **yaws)
+        energy = problem.terrain.price(path, problem.cost).energy
+        x, y, yaw = path.end
+        at = f"({x:.2f}, {y:.2f}, {degrees(yaw):.1f} deg)"
+        lines.append(f"route from {ends.source} to {at}: {energy:.0f} J, {path.length:.2f} m")
+        route = {
+            "energy": energy, "length": path.length, "end": list(path.end),
+            "path": path.vertices.tolist(),
+        }  # fmt: skip
+    closed = [one._asdict() for one in result.closed]
+    answer({"edges": edges, "closed": closed, "route": route}, lines, json=json)
 
 
 @export.command(

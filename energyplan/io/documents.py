@@ -5,6 +5,7 @@ Complaints about a YAML document name its line. An amount may have a unit.
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 from collections.abc import Collection, Hashable, Iterable, Iterator, Sequence
@@ -263,6 +264,8 @@ class Document:
                 )
             elif isinstance(why, ImpossibleError) or not (own or isinstance(item, dict | list)):
                 message = f"{message}, not {str(item)[:60]!r}"
+                if re.fullmatch(r"\s*[-+]?\d+,\d+\D*", str(item)) and "number" in message:
+                    message += f"; write {str(item).strip().replace(',', '.')}"
             raise self.fail((*loc, *place, *own), message + self.another_kind(schema)) from None
 
     def _keys_of(self, problem: ErrorDetails, here: Any) -> Loc:
@@ -377,13 +380,26 @@ def parse(content: bytes | str, source: str, error: type[InvalidInputError]) -> 
         line = "" if mark is None else f", line {mark.line + 1}"
         raise error(f"{source}{line} is no valid YAML: {problem.problem or problem}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as problem:
+        _in_utf8(content, source, error)
         text = " ".join(str(problem).split())[:150]
         raise error(f"{source} is no valid YAML: {text}") from None
     if data is None:
         raise error(f"{source} is empty; it must hold keys with values")
     if not isinstance(data, dict):
-        raise error(f"{source} must hold a mapping of keys to values")
+        found = "; this is plain text, such as a table" if isinstance(data, str) else ""
+        raise error(f"{source} must hold a mapping of keys to values{found}")
     return Document(source, data, lines, error)
+
+
+def _in_utf8(content: bytes | str, source: str, error: type[InvalidInputError]) -> None:
+    """Refuse bytes of another encoding by their line."""
+    if isinstance(content, str) or content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return
+    try:
+        content.decode()
+    except UnicodeDecodeError as problem:
+        line = content.count(b"\n", 0, problem.start) + 1
+        raise error(f"{source}, line {line} is not in UTF-8; save the file as UTF-8") from None
 
 
 _EVENTS: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is ten times as fast

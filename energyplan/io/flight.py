@@ -92,6 +92,8 @@ def _named(file: Path) -> Iterator[None]:
                 yield
     except EnergyPlanError:
         raise
+    except OSError as problem:
+        raise DriveLogError(f"{file} cannot be read: {problem.strerror or problem}") from None
     except Exception as problem:  # noqa: BLE001  as pymavlink raises
         raise DriveLogError(
             f"{file} is no sound log of a flight controller: {said(problem)}; copy it again, or "

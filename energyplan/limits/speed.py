@@ -59,6 +59,7 @@ def profile(
     *,
     objective: Literal["time", "energy"] = "time",
     duration: Annotated[float, Within((1e-6, 1e9), (1e-6, 1e9), "s")] | None = None,
+    time_value: Annotated[float, Within((0, 1e9), (0, 1e6), "J/s")] = 0.0,
     vehicle: Vehicle | None = None,
     battery_power: float = np.inf,
     battery_return: float = np.inf,
@@ -87,6 +88,8 @@ def profile(
         chosen.
     duration : float, optional
         Time to take [s]: the profile of least energy that takes it, whatever the `objective`.
+    time_value : float
+        What a second counts beside the energy, where the `objective` is the energy [J/s].
     vehicle : Vehicle, optional
         Whose limits apply; the model's own where not given.
     battery_power, battery_return : float
@@ -168,7 +171,7 @@ def profile(
         min(limits.motor.acceleration, UNLIMITED), limits.motor.speed,
     )  # fmt: skip
     timing = _Timing(_reach(course, ground, limits, channels or {}, period), ends)
-    rate = timing.rates(objective, duration)
+    rate = timing.rates(objective, duration, time_value)
     found = timing.reach.survey(rate)
     if found.hot:
         rate = timing.cooled(duration)
@@ -268,14 +271,14 @@ class _Timing:
         """Time that the path takes at given rates [s]."""
         return float(times(self.reach.points.cell, rate).sum())
 
-    def rates(self, objective: str, duration: float | None) -> FloatArray:
+    def rates(self, objective: str, duration: float | None, time_value: float) -> FloatArray:
         """Return the rates that meet the objective, or take the duration [m/s]."""
         rate = self.fast
         self._check_ends(rate)
         if duration is not None:
             return self._lasting(duration)
         if objective == "energy":
-            return self._slowed(self._cheapest(0.0))
+            return self._slowed(self._cheapest(time_value))
         return rate
 
     @cached_property

@@ -74,8 +74,9 @@ def drive_path(
 
     def driven(objective: Literal["time", "energy"], smooth: FloatArray) -> DrivenPath:
         timed = profile(
-            path, model, vehicle=vehicle, objective=objective, smooth=smooth, tolerance=within,
-            period=period, channels=cost.channels, surfaces=surfaces, heights=heights,
+            path, model, vehicle=vehicle, objective=objective, time_value=cost.time_value,
+            smooth=smooth, tolerance=within, period=period, channels=cost.channels,
+            surfaces=surfaces, heights=heights,
         )  # fmt: skip
         drive = Traversal(timed, Ground(model, surfaces, heights), cost.channels)
         energies = drive.interval_energies()
@@ -107,9 +108,11 @@ def drive_path(
         except InfeasibleMotionError:
             if way is ways[-1] and not found:
                 raise
-    enough = min(one.energy for one in found)
+    values = [one.energy + cost.time_value * one.duration for one in found]
+    enough = min(values)
     enough += SAME * abs(enough)
-    return min((one for one in found if one.energy <= enough), key=lambda one: one.duration)
+    good = (one for one, value in zip(found, values, strict=True) if value <= enough)
+    return min(good, key=lambda one: one.duration)
 
 
 def _price_of_seconds(drive: Traversal, surfaces: SurfaceMap | None) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import networkx as nx
 import numpy as np
 import pytest
 from commands import Run
@@ -14,8 +15,10 @@ from limits.fine_integral import fine_energy
 
 import energyplan as ep
 from energyplan import PowerModel, simulate, write_model
+from energyplan.export.graph import write_route_graph
 from energyplan.io.config import write_vehicle
 from energyplan.io.files import bundled
+from energyplan.io.maps import write_map
 from energyplan.io.tables import read_trajectory, write_log
 from energyplan.power.effects import term
 
@@ -199,3 +202,28 @@ def test_a_model_is_named_after_the_days_of_its_drives() -> None:
     both = ep.identify([first, second], robot).model.name
     assert both == f"{robot.name}, 2026-11-28 to 2026-12-01"
     assert "2026" not in ep.identify(drives[0], robot).model.name
+
+
+def test_a_route_along_planned_edges_leads_to_the_nearest_of_several_nodes(
+    run: Run, ask: Ask, tmp_path: Path
+) -> None:
+    """Export graph prints its energy and where it ends; what a route needs is named."""
+    hall = ep.OccupancyGrid(np.zeros((160, 200), bool), 0.05)
+    write_map(hall, tmp_path / "hall.yaml")
+    places = nx.DiGraph([(0, 1), (1, 2)])
+    nx.set_node_attributes(places, {0: (2, 2), 1: (8, 2), 2: (8, 6)}, "pos")
+    write_route_graph(places, tmp_path / "graph.geojson")
+    words = ["export", "graph", tmp_path / "graph.geojson", "--map", tmp_path / "hall.yaml",
+             "--model", "quadriga:empty:concrete"]  # fmt: skip
+    answer = ask(*words, "--source", 0, "--target", 2, "--target", 1, "--start-yaw", "0")
+    assert answer["route"]["energy"] == pytest.approx(6 * 226.0)
+    assert answer["route"]["end"] == pytest.approx([8, 2, 0])
+    assert answer["route"]["path"] == [[2, 2, 0], pytest.approx([8, 2, 0])]
+    back = ("--goal-yaw", "-90deg", "--goal-heading", "either")
+    answer = ask(*words, "--source", 0, "--target", 2, *back)
+    assert answer["route"]["end"] == pytest.approx([8, 6, np.pi / 2])
+    assert "route from 0 to (8.00, 6.00" in run(*words, "--source", 0, "--target", 2).out
+    assert ask(*words)["route"] is None
+    for given in (["--source", 0], ["--target", 1], ["--goal-yaw", "0"]):
+        refused = run(*words, *given)
+        assert refused.code == 2 and "give" in refused.err

@@ -68,8 +68,10 @@ def test_the_archives_hold_what_runs_and_what_tests_it() -> None:
     assert {path.partition("/")[0] for path in wheel} == {"energyplan"}
     bundled = {Path(path).name for path in wheel if path.startswith("energyplan/bundle/")}
     maps = {file.name for file in (ROOT / "maps").iterdir() if file.is_file()} - {"make_maps.py"}
-    missions = {file.name for file in (ROOT / "examples").glob("*.yaml")}
-    assert bundled == maps | missions
+    of_commands = {
+        file.name for kind in ("yaml", "json") for file in (ROOT / "examples").glob(f"*.{kind}")
+    }
+    assert bundled == maps | of_commands
     assert {"energyplan/py.typed", "energyplan/__init__.pyi"} <= wheel
 
 

@@ -21,6 +21,7 @@ from PIL import Image
 from energyplan import errors
 from energyplan.io.bags import TopicMap
 from energyplan.io.config import read_model, read_vehicle
+from energyplan.io.flight import read_flight
 from energyplan.io.geojson import read_surfaces
 from energyplan.io.heights import read_heights
 from energyplan.io.logs import read_log
@@ -150,6 +151,8 @@ TABLES = {
 +motor:\n  speed: fast\n | line 8, motor.speed: .* not 'fast'
 +motor:\n  speed: -1\n | line 8, motor.speed: give 0.001 to 50 m/s, not '-1'
 +mass: 3\n | line 7: 'mass' stands twice
+120.0 => 120,5 | line 2, mass: .*number.*, not '120,5'; write 120.5
+120.0 => 120,5 kg | line 2, mass: .*; write 120.5 kg
 120.0 => true | line 2, mass
 120.0 => no | line 2, mass
 120.0 => 1:30 | line 2, mass
@@ -174,6 +177,7 @@ mass: 120.0\n => | mass: the key is missing
 =kind: model\n | holds a 'model', where a vehicle
 = | is empty
 =- 1\n | must hold a mapping
+=t,v\n0,1\n | plain text, such as a table
 =a: [1\n | line 2 is no valid YAML
 =a: !!python/object/apply:os.system [x]\n | line 1: leave the tag
 =a: !!python/name:os.system x\n | line 1: .* cannot be read
@@ -479,3 +483,20 @@ def test_what_is_no_file_is_refused_by_its_name(
 ) -> None:
     with pytest.raises(errors.InvalidInputError, match=words):
         read(name)
+
+
+def test_a_file_of_another_encoding_is_named_with_its_line(tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_bytes("preset: jackal\nname: Gerät\n".encode("latin-1"))
+    with pytest.raises(
+        errors.InvalidInputError, match=r"robot\.yaml, line 2 is not in UTF-8; save the"
+    ):
+        read_vehicle(file)
+    file.write_bytes("preset: jackal\nname: Gerät\n".encode("utf-16"))
+    assert read_vehicle(file).name == "Gerät"
+
+
+@pytest.mark.parametrize("name", ["no.ulg", "no.bin", "no.tlog"])
+def test_a_log_that_is_not_there_is_said_to_be_so(tmp_path, name):
+    with pytest.raises(errors.InvalidInputError, match=f"{name} cannot be read: No such file"):
+        read_flight(tmp_path / name)

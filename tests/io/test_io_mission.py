@@ -96,6 +96,15 @@ def test_a_pack_of_units_and_a_reserve_in_watt_hours(tmp_path):
     assert mission.reserve * stored == pytest.approx(360e3, rel=1e-3)
 
 
+def test_a_tiny_pack_in_words_has_its_unit(tmp_path):
+    """Its 72 C were taken for a number that the file gives without a unit."""
+    words = GOOD.replace(
+        "{preset: quadriga, health: 80 %, temperature: 10}", "24 V 20 mAh lead-acid"
+    )
+    text = words.replace("reserve: 20 %", "reserve: 0.2")
+    assert read_mission(written(tmp_path, text)).battery.capacity == pytest.approx(72.0)
+
+
 @pytest.mark.parametrize("reserve", ["0.25", "'0.25'", "25 %"])
 def test_a_reserve_without_a_unit_is_a_fraction_as_text_too(tmp_path, reserve):
     """On the command line all values are text: ``--reserve 0.25`` was a quarter of a joule."""

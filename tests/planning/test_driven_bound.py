@@ -3,6 +3,7 @@
 import json
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ import shapely
 
 import energyplan as ep
 from energyplan.output import documents
-from energyplan.planning.driven import drive_plan
+from energyplan.planning.bound import lower_bound
+from energyplan.planning.driven import drive_plan, driven_bound
+from energyplan.planning.space.compiled import compiled
 from energyplan.power.effects import term, with_weight
 from energyplan.terrain import SurfaceMap
 from energyplan.terrain.surfaces import SpeedLimit
@@ -130,6 +133,21 @@ def test_the_gap_of_the_least_time_is_that_of_the_drive():
     assert "lower bound of the cost [s]" in str(plan)
 
 
+@pytest.mark.parametrize("value", [60.0, 300.0])
+def test_a_drive_hurries_as_much_as_the_seconds_that_its_route_was_priced_with(value):
+    """No constant speed drives the line for less energy and time together."""
+    model = model_of(hotel_load=60.0, viscous_loss=120.0)
+    both = {"energy": 1.0, "time": value}
+    cost = ep.EnergyCost(model, speed="cheapest", time_value=value)
+    plan = ep.plan(ep.PlanningProblem(HALL, cost, *LINE, objective=both), effort=1500)
+    assert plan.cost == pytest.approx(plan.energy_driven + value * plan.driven.duration)
+    assert plan.lower_bound <= plan.cost
+    assert plan.speed == pytest.approx(plan.driven.speed_priced, rel=0.03)
+    others = [ep.EnergyCost(model, speed=speed) for speed in np.linspace(0.2, 1.2, 11)]
+    drives = [drive_plan(replace(plan.problem, cost=one), plan.path) for one in others]
+    assert plan.cost <= 1.002 * min(one.energy + value * one.duration for one in drives)
+
+
 def test_the_speed_is_the_largest_of_the_drive():
     zone = SurfaceMap((), speed_limits=(SpeedLimit(shapely.box(-1, -1, 10, 10), 0.3),))
     plan = planned(MODEL, surfaces=zone)
@@ -159,3 +177,71 @@ def test_speeding_up_and_slowing_down_once_is_in_the_bound_of_the_least_time(len
     plan = planned(MODEL, ((1.5, 3, 0), (1.5 + length, 3, 0)), objective="time")
     assert plan.cost > 1.05 * plan.cost_steady
     assert 0.0 <= plan.gap < 1e-3
+
+
+def of_treads(start, times, left, right, parts=8):
+    """Return the path of treads whose speeds run straight between these, in small arcs."""
+    fine = np.unique(np.concatenate(
+        [np.linspace(a, b, parts + 1) for a, b in pairwise(times)]
+    ))  # fmt: skip
+    way = [np.interp(fine, times, one) for one in (left, right)]
+    moved = [0.5 * (one[1:] + one[:-1]) * np.diff(fine) for one in way]
+    ds, turn = 0.5 * (moved[0] + moved[1]), (moved[1] - moved[0]) / MODEL.vehicle.icr.slip_track
+    return ep.Path(start, ds, turn)
+
+
+def at_random(rng, start):
+    """Return a path that never stops on the way, by treads that speed up and slow down at random.
+
+    Each keeps the limits of speed and acceleration, and they begin and end at rest.
+    """
+    top, most = MODEL.vehicle.motor.speed, MODEL.vehicle.motor.acceleration
+    speeds = rng.uniform(-1, 1, (2, 6)) + rng.uniform(0, 1)
+    speeds = np.clip(top * np.pad(speeds, ((0, 0), (1, 1))), -top, top)
+    speeds[:, 0] = speeds[:, -1] = 0.0
+    gain = np.abs(np.diff(speeds, axis=1)).max(axis=0)
+    steps = gain / most + rng.exponential(0.3, len(gain)) + 1e-3
+    return of_treads(start, np.append(0.0, np.cumsum(steps)), *speeds)
+
+
+@pytest.mark.parametrize("objective", ["time", {"energy": 1, "time": 50}])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_path_without_stops_takes_less_than_the_bound(seed, objective):
+    """Turns at speed need no stop, so none is in the bound; an obstacle beside the path is."""
+    rng = np.random.default_rng(seed)
+    cost = ep.EnergyCost(MODEL)
+    tried = 0
+    while tried < 12:
+        path = at_random(rng, (12.0, 12.0, rng.uniform(-3, 3)))
+        cells = np.zeros((240, 240), bool)
+        row, column = rng.integers(60, 180, 2)
+        cells[row : row + 12, column : column + 12] = True
+        grid = ep.OccupancyGrid(cells, resolution=0.1)
+        if not grid.path_free(path, MODEL.vehicle):
+            grid = ep.OccupancyGrid(0 * cells > 0, resolution=0.1)
+        if not grid.path_free(path, MODEL.vehicle) or np.abs(path.ds).sum() < 0.2:
+            continue
+        tried += 1
+        problem = ep.PlanningProblem(grid, cost, path.start, path.end, objective=objective)
+        drive = drive_plan(problem, path)
+        weight = problem.weights
+        value = weight.get("energy", 0) * drive.energy + weight["time"] * drive.duration
+        least = lower_bound(compiled(problem), 1.5 * value).value
+        assert driven_bound(problem, least) <= value
+
+
+def test_a_path_without_stops_meets_the_bound_of_the_least_time():
+    """Turning at both ends while driving takes hardly more."""
+    top, most = MODEL.vehicle.motor.speed, MODEL.vehicle.motor.acceleration
+    back, ramp = 0.35, top / most
+    first = [0.0, back, 2 * back, ramp, 2 * back + ramp]
+    left = [0.0, -most * back, 0.0, most * (ramp - 2 * back), top]
+    right = [0.0, most * back, most * 2 * back, top, top]
+    times = np.array([*first, *(2 * (first[-1] + 2.0) - np.array(first))[::-1]])
+    path = of_treads((12.0, 12.0, 0.5), times, [*left, *right[::-1]], [*right, *left[::-1]])
+    grid = ep.OccupancyGrid(np.zeros((240, 240), bool), resolution=0.1)
+    problem = ep.PlanningProblem(grid, ep.EnergyCost(MODEL), path.start, path.end, objective="time")
+    plan = ep.plan(problem, effort=1500)
+    smooth = drive_plan(problem, path).duration
+    assert plan.lower_bound <= smooth < 1.04 * plan.lower_bound
+    assert plan.path.turning > 1.0
