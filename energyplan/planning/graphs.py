@@ -579,7 +579,7 @@ def _least_turn(problem: PlanningProblem, pose: Pose, yaws: Sequence[float]) -> 
     return min((problem.terrain.price(turn, problem.cost).energy for turn in turns), default=0.0)
 
 
-class _Between(NamedTuple):
+class _HeadingCosts(NamedTuple):
     """Ways between the headings at one place and those at the next."""
 
     cost: FloatArray  # (n, m)
@@ -616,7 +616,7 @@ def _through(
 
 def _leg(
     path: Path, problem: PlanningProblem, before: Sequence[float], after: Sequence[float]
-) -> _Between:
+) -> _HeadingCosts:
     """Return the ways along a path, or in its place, between headings at its two ends."""
     lon = path.longitudinal
 
@@ -656,7 +656,7 @@ def _leg(
         parts = [part for part in (leaving[i], path, arriving[j]) if part is not None]
         return reduce(add, [part for part in parts if part.dtheta.any() or part.ds.any()])
 
-    return _Between(cost, driven)
+    return _HeadingCosts(cost, driven)
 
 
 def _at(pose: Pose, yaw: float, longitudinal: float) -> Pose:

@@ -33,6 +33,7 @@ from energyplan.io.mission import read_battery
 from energyplan.io.sites import SiteFile, load_site
 from energyplan.logs.tables import unpacked_at_most
 from energyplan.planning.budget import cancellable, end_if_unwanted
+from energyplan.serve.requests import LONGEST
 from energyplan.terrain import Site
 
 T = TypeVar("T")
@@ -337,7 +338,10 @@ class Pool:
                 job.future.set_result(work(job))
         except BaseException as error:  # noqa: BLE001  for whoever waits
             if isinstance(error, CancelledError) and job.late and not job.cancelled.is_set():
-                error = TimeLimitError("time was over before the answer; give more time_limit")
+                error = TimeLimitError(
+                    "time was over before the answer; give less effort, or a "
+                    f"time_limit of up to {LONGEST:g} s"
+                )
             job.future.set_exception(error)
         finally:
             with self._lock:
