@@ -1,5 +1,6 @@
 """Orders and charges on batteries by name: ``python benchmarks/charges.py [MISSIONS [STEPS]]``.
 
+Both are numbers, 300 and 1000, or parts of what they stand for, as in ``170:300 900:1000``.
 Missions are drawn by chance (see tests/mission/battery_missions.py). It is counted how often a
 free order is worse than a given one, and how often a better charger, battery, charge or reserve
 does fewer tasks.
@@ -42,24 +43,33 @@ def better(mission: Mission, what: str, rng: np.random.Generator) -> Mission:
     return replace(mission, reserve=mission.reserve / more)
 
 
-def main(missions: int = 300, steps: int = 1000) -> None:
+def part(text: str) -> range:
+    """Return the numbers that an argument stands for."""
+    first, _, last = text.rpartition(":")
+    return range(int(first or 0), int(last))
+
+
+def main(missions: str = "300", steps: str = "1000") -> None:
     """Count what should not be."""
     begun = time.process_time()
-    found = list(worse(range(missions)))
-    print(f"{missions} missions: a given order is better than the free one in {len(found)}")
+    found = list(worse(part(missions)))
+    print(
+        f"{len(part(missions))} missions: a given order is better than the free one in", len(found)
+    )
     for one in found:
         print("  seed {}: {} tasks, {:.6g} J; given {} tasks, {:.6g} J".format(*one))
     routes, rng, lost = Routes(), np.random.default_rng(0), []
-    for step in range(steps):
+    for step in range(part(steps).stop):
         mission, what = drawn(step // len(STEPS)), STEPS[step % len(STEPS)]
-        before, after = (
-            done(evaluate(one, routes=routes)) for one in (mission, better(mission, what, rng))
-        )
+        improved = better(mission, what, rng)
+        if step not in part(steps):
+            continue
+        before, after = (done(evaluate(one, routes=routes)) for one in (mission, improved))
         if after < before:
             lost.append((step // len(STEPS), what, before, after))
-    print(f"{steps} steps: a task is lost in {len(lost)}", *lost, sep="\n  ")
+    print(f"{len(part(steps))} steps: a task is lost in {len(lost)}", *lost, sep="\n  ")
     print(f"{time.process_time() - begun:.0f} s of CPU")
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]))
+    main(*sys.argv[1:3])

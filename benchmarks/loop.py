@@ -26,7 +26,7 @@ from forks import FORKS
 from scipy.stats import binomtest
 
 import energyplan as ep
-from energyplan.diagnosis.design import Hypothesis, Option, design, joined, manoeuvres
+from energyplan.diagnosis.design import Hypothesis, TimedManoeuvre, design, joined, manoeuvres
 from energyplan.errors import EnergyPlanError
 from energyplan.io.files import bundled
 from energyplan.limits.speed import profile
@@ -287,7 +287,7 @@ def designed(count: int, duration: float = 60.0, noise: float = 20.0) -> None:
     family = [
         made
         for m in manoeuvres(VEHICLE, 0.6, 1.5)
-        if (made := Option.of(m, VEHICLE, start, 0.5).trajectory).duration <= duration
+        if (made := TimedManoeuvre.of(m, VEHICLE, start, 0.5).trajectory).duration <= duration
     ]
     rows = []
     for k in range(count):

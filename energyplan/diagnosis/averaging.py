@@ -3,9 +3,11 @@
 Runs of one robot on one ground differ as a whole, and few runs, or short ones, say little about
 which effects the next one will show. An average of models that err differently is then better than
 the best of them, and better than a choice among them (Timmermann 2006, "Forecast combinations").
-Each model counts by the energies of what it was not fitted to: whole runs, and where there are few
-of them, kinds of motion too. Blocks of time would not do there: neighbouring ones are alike, and an
-explanation that fits them may be wrong about the first motion that they do not have.
+Models count by the energies of what they were not fitted to. From four runs on, their weights are
+those whose average misses whole runs least (Breiman 1996, "Stacked regressions"). Fewer runs cannot
+fit weights: the odds of two terms and the explanation follow from their errors of runs and of kinds
+of motion. Blocks of time would not do there: neighbouring ones are alike, and an explanation that
+fits them may be wrong about the first motion that they do not have.
 
 The two terms, and one or two further terms that many robots have, are fitted by least absolute
 errors of means over half a second, as `identify` fits samples, and fitted again without each run.
@@ -22,6 +24,7 @@ from itertools import combinations, compress
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
+from scipy.optimize import nnls
 
 from energyplan.diagnosis.candidates import Part
 from energyplan.diagnosis.result import Average
@@ -59,6 +62,7 @@ _MEMBERS = 3  # windows of a kind of motion, in the mean
 _GROUPINGS = 50  # rounds of grouping
 _EXACT = 1e-6  # relative error that is none
 _DRAWS = 400  # of the Bayesian bootstrap
+_SUM = 1e3  # weight of the equation that weights add up to one, over that of the largest error
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,6 @@ class _Member:
     values: FloatArray  # (k,): coefficients
     covariance: FloatArray
     errors: FloatArray  # (folds,): relative errors of energies
-    handicap: float  # taken from the logarithm of its odds
     explains: bool = False  # whether it is the explanation
 
 
@@ -122,7 +125,6 @@ class _RefittedExplanation:
 
     fitted: Fitted
     names: tuple[str, ...]
-    handicap: float
     whole: DesignMatrix  # as it predicts future runs
     grams: FloatArray  # of what it is fitted to, by block
     own: NDArray[np.bool_]  # which of its terms are fitted
@@ -130,9 +132,8 @@ class _RefittedExplanation:
 
     @classmethod
     def of(
-        cls, problem: Problem, plain: Problem, fitted: Fitted, parts: Sequence[Part],
-        handicap: float,
-    ) -> _RefittedExplanation:  # fmt: skip
+        cls, problem: Problem, plain: Problem, fitted: Fitted, parts: Sequence[Part]
+    ) -> _RefittedExplanation:
         """Prepare an explanation."""
         # What contacts hold on straights was found separately from the fit, and stays as it is.
         own = np.array([term.name != WHEEL_FIGHT.name for term in fitted.model.terms])
@@ -142,7 +143,7 @@ class _RefittedExplanation:
         errors = problem.reference(design)
         nothing = bool(errors[_SLOW] <= _NOTHING * problem.floor[_SLOW])
         names = tuple(part.effect.name for part in parts)
-        return cls(fitted, names, handicap, whole, weighted(design, errors), own, nothing)
+        return cls(fitted, names, whole, weighted(design, errors), own, nothing)
 
     def measured(self, problem: Problem) -> tuple[Term, ...]:
         """Return losses, and their heat on straights, that the powers of both sides measure."""
@@ -162,9 +163,7 @@ class _RefittedExplanation:
         power = self.whole.longest[0][:, -1] - columns[:, ~self.own] @ values[~self.own]
         errors = windows.misses(fold, columns[:, self.own], power, refits)
         covariance = np.zeros((len(values),) * 2) if model.covariance is None else model.covariance
-        return _Member(
-            self.names, model.terms, values, covariance, errors, self.handicap, explains=True
-        )
+        return _Member(self.names, model.terms, values, covariance, errors, explains=True)
 
 
 @dataclass(frozen=True)
@@ -235,7 +234,7 @@ class _Table:
             theirs = [names.index(terms[k].name) for k in open_]
             covariance[np.ix_(open_, open_)] += self.fitted.model.covariance[np.ix_(theirs, theirs)]
         names = [term.name for term in extension]
-        return _Member(tuple(names), terms, values, covariance, errors, float(len(extension)))
+        return _Member(tuple(names), terms, values, covariance, errors)
 
     def _fit(self, table: FloatArray, fixed: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """Fit the terms that are not fixed by least absolute errors, within their ends."""
@@ -277,17 +276,33 @@ class _Table:
         return bool(np.all(PowerModel(vehicle, one.terms, one.values).power(motion) >= 0.0))
 
 
-def _weights(members: Sequence[_Member], telling: NDArray[np.bool_]) -> FloatArray:
-    """Return the weights of models: pseudo Bayesian model averaging, bootstrapped."""
-    errors = np.abs([one.errors[telling] for one in members])
+def _stacked(errors: FloatArray) -> FloatArray:
+    """Return the weights of models, (m,), whose average has the least errors, from (m, folds)."""
+    total = _SUM * max(float(np.abs(errors).max(initial=0.0)), _EXACT)
+    rows = np.vstack([errors.T, np.full(len(errors), total)])
+    weights, _ = nnls(rows, np.append(np.zeros(errors.shape[1]), total))
+    return np.asarray(weights / weights.sum())
+
+
+def _by_odds(errors: FloatArray, effects: int) -> FloatArray:
+    """Return the weights of two terms and an explanation of some effects, from (2, folds)."""
     count = errors.shape[1]
-    prior = np.exp([-one.handicap for one in members])
-    further = np.array([not one.explains for one in members]) & (np.arange(len(members)) > 0)
-    prior[further] /= max(float(prior[further].sum()), 1e-300)
     share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
-    odds = np.log(np.maximum(prior, 1e-300)) - count * np.log(np.maximum(share @ errors.T, _EXACT))
+    missed = np.maximum(share @ np.abs(errors).T, _EXACT)
+    odds = -count * np.log(missed) - np.array([0.0, effects])
     chance = np.exp(odds - odds.max(axis=1, keepdims=True))
     return np.asarray(np.mean(chance / chance.sum(axis=1, keepdims=True), axis=0))
+
+
+def _by_runs(errors: FloatArray) -> tuple[FloatArray, float]:
+    """Return the mean of the weights without each run, and the error of an average of a run.
+
+    That error, the root mean square over the runs, is by weights that the run had no part in.
+    """
+    count = errors.shape[1]
+    without = np.array([_stacked(np.delete(errors, run, axis=1)) for run in range(count)])
+    missed = np.sum(without * errors.T, axis=1)
+    return np.asarray(without.mean(axis=0)), float(np.sqrt(np.mean(missed**2)))
 
 
 def averaged(
@@ -304,7 +319,7 @@ def averaged(
     if few and not picked and (count == 1 or not parts):
         return None
     plain = problem.of_totals
-    explanation = _RefittedExplanation.of(problem, plain, fitted, parts, float(picked))
+    explanation = _RefittedExplanation.of(problem, plain, fitted, parts)
     if few and explanation.leaves_nothing:
         return None
     table = _Table.of(problem, plain, explanation, parts, () if few else common)
@@ -315,28 +330,27 @@ def averaged(
     if few and picked:
         halves = np.arange(len(windows.run)) * 2 // len(windows.run)
         folds["kind of motion"] = _motions(plain, table.member((), halves).values)
-    compared = []
+    compared, missed = [], 0.0
     for what, fold in folds.items():
         members = [table.member((), fold), *table.extensions(fold)]
         if parts or few:
             members.append(explanation.member(windows, fold))
-        chosen = telling if fold is windows.run else np.ones(len(members[0].errors), bool)
-        compared.append((what, members, _weights(members, chosen)))
+        errors = np.array([one.errors for one in members])
+        if what == "run":
+            errors = errors[:, telling]
+        if few:
+            weights = _by_odds(errors, picked)
+        else:
+            weights, missed = _by_runs(errors)
+        compared.append((what, members, errors, weights))
     # All must be predicted: runs that are to come, and motions and ground that are in them.
-    what, members, weights = min(compared, key=lambda one: float(one[2][-1]))
+    what, members, errors, weights = min(compared, key=lambda one: float(one[3][-1]))
     own = float(weights[-1]) if members[-1].explains else 0.0
-    shown = telling if what == "run" else np.ones(len(members[0].errors), bool)
-    errors = np.array([one.errors[shown] for one in members])
-    missed = None
-    if not few:
-        missed = float(np.sqrt(np.mean((weights @ errors) ** 2)))
     if 1.0 - own < _NEGLIGIBLE:
-        if missed is None:
-            return None
-        return Averaged(replace(fitted, run=fitted.run.at_least(missed)), None)
+        return None if few else Averaged(replace(fitted, run=fitted.run.at_least(missed)), None)
     model = _mixed(plain, fitted, members, weights)
     run = run_effect(plain, model.terms, np.array(model.coefficients))
-    mixed = replace(fitted, model=model, run=run.at_least(missed or 0.0))
+    mixed = replace(fitted, model=model, run=run.at_least(missed))
     theirs = errors[-1] if members[-1].explains else weights @ errors
     sizes = [float(np.mean(np.abs(some))) for some in (theirs, errors[0])]
     shares = {

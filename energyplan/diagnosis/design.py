@@ -68,14 +68,16 @@ def manoeuvres(vehicle: Vehicle, speed: float, reach: float) -> Iterator[Manoeuv
 
 
 @dataclass(frozen=True)
-class Option:
+class TimedManoeuvre:
     """A manoeuvre and its trajectory from a given pose."""
 
     manoeuvre: Manoeuvre
     trajectory: Trajectory
 
     @classmethod
-    def of(cls, manoeuvre: Manoeuvre, vehicle: Vehicle, start: Pose, acceleration: float) -> Option:
+    def of(
+        cls, manoeuvre: Manoeuvre, vehicle: Vehicle, start: Pose, acceleration: float
+    ) -> TimedManoeuvre:
         """Time the legs with linear ramps between them, and integrate the pose."""
         corners = [(0.0, 0.0, 0.0)]
         for left, right, hold in (*manoeuvre.legs, (0.0, 0.0, 0.0)):
@@ -217,7 +219,8 @@ def design(
         option
         for reach in (1.5, 4.0)
         for option in (
-            Option.of(m, vehicle, here, acceleration) for m in manoeuvres(vehicle, top, reach)
+            TimedManoeuvre.of(m, vehicle, here, acceleration)
+            for m in manoeuvres(vehicle, top, reach)
         )
         if option.trajectory.duration <= duration and fits(grid, vehicle, option.trajectory)
     ]
@@ -234,10 +237,10 @@ def design(
 
 
 def _chosen(
-    question: _Question, options: Sequence[Option], duration: float
-) -> tuple[list[Option], FloatArray]:
+    question: _Question, options: Sequence[TimedManoeuvre], duration: float
+) -> tuple[list[TimedManoeuvre], FloatArray]:
     """Choose manoeuvres by what each adds in its time; return them, and their sum of products."""
-    chosen: list[Option] = []
+    chosen: list[TimedManoeuvre] = []
     gram, clock = question.zero, 0.0
     # Only where a term reads the time do products depend on when a manoeuvre begins.
     early = [question.gram(option.trajectory, 0.0) for option in options]

@@ -380,7 +380,7 @@ class Late(NamedTuple):
 ON_TIME = Late()
 
 
-class Clock:
+class SampleTimes:
     """When the samples of a log were taken, and what they show late."""
 
     def __init__(self, t: FloatArray) -> None:
@@ -525,11 +525,11 @@ class Drive:
         return replace(self, motion=replace(self.motion, icr=icr), fields={})
 
     @property
-    def clock(self) -> Clock:
+    def clock(self) -> SampleTimes:
         """When its samples were taken."""
         if "clock" not in self.fields:
-            self.fields["clock"] = Clock(self.t)
-        found: Clock = self.fields["clock"]
+            self.fields["clock"] = SampleTimes(self.t)
+        found: SampleTimes = self.fields["clock"]
         return found
 
     @property

@@ -151,6 +151,32 @@ def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: F
         scalars[MATERIAL] = np.sqrt(change / max(energy, 1e-300))
 
 
+@inner
+def _learn_noise(
+    z: float, square: float, uncertainty: float, dt: float, scalars: Floats, settings: Floats
+) -> None:
+    """Learn the residual's variance, and how many samples repeat each other, from one sample."""
+    variance = scalars[VARIANCE]
+    most = max(settings[NOISE_MEMORY] / max(dt, 1e-9), 2.0)
+    scalars[SAMPLES] = min(scalars[SAMPLES] + 1.0, most)
+    learned = variance + (square - variance) / scalars[SAMPLES]
+    scalars[VARIANCE] = max(learned, settings[LEAST_VARIANCE])
+    if uncertainty < variance:  # else the residual is mostly that of coefficients yet to be found
+        scalars[BLOCK_SUM] += z
+        scalars[BLOCK_SQUARES] += z * z
+        scalars[BLOCK_TIME] += dt
+    if scalars[BLOCK_TIME] >= BLOCK:
+        fade = np.exp(-scalars[BLOCK_TIME] / settings[NOISE_MEMORY])
+        scalars[BLOCKS] = fade * scalars[BLOCKS] + 1.0
+        share = 1.0 / scalars[BLOCKS]
+        scalars[MEAN_SIZE] += share * (abs(scalars[BLOCK_SUM]) - scalars[MEAN_SIZE])
+        scalars[MEAN_SQUARES] += share * (scalars[BLOCK_SQUARES] - scalars[MEAN_SQUARES])
+        # By the mean size, not the mean square: one block across a change must not count much.
+        spread = 0.5 * np.pi * scalars[MEAN_SIZE] ** 2
+        scalars[REPEATS] = max(spread / max(scalars[MEAN_SQUARES], 1e-300), 1.0)
+        scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
+
+
 @njit
 def advance(
     phi: Column,
@@ -187,8 +213,8 @@ def advance(
     scalars[EXCITATION] += share * (excitation - scalars[EXCITATION])
 
     variance = scalars[VARIANCE]
-    doubt = _form(phi, covariance, phi)
-    limit = CLIP * np.sqrt(variance + doubt)
+    uncertainty = _form(phi, covariance, phi)
+    limit = CLIP * np.sqrt(variance + uncertainty)
     clipped = min(max(residual, -limit), limit)
     weight = 1.0 if clipped == residual else clipped / residual
     z = min(max(residual / np.sqrt(variance), -CLIP), CLIP)
@@ -212,25 +238,7 @@ def advance(
     for i in range(p):
         after -= phi[i] * c[i]
 
-    most = max(settings[NOISE_MEMORY] / max(dt, 1e-9), 2.0)
-    scalars[SAMPLES] = min(scalars[SAMPLES] + 1.0, most)
-    heard = variance + (min(after * after, limit * limit) - variance) / scalars[SAMPLES]
-    scalars[VARIANCE] = max(heard, settings[LEAST_VARIANCE])
-    if doubt < variance:  # else the residual is mostly that of coefficients yet to be found
-        scalars[BLOCK_SUM] += z
-        scalars[BLOCK_SQUARES] += z * z
-        scalars[BLOCK_TIME] += dt
-    if scalars[BLOCK_TIME] >= BLOCK:
-        fade = np.exp(-scalars[BLOCK_TIME] / settings[NOISE_MEMORY])
-        scalars[BLOCKS] = fade * scalars[BLOCKS] + 1.0
-        share = 1.0 / scalars[BLOCKS]
-        scalars[MEAN_SIZE] += share * (abs(scalars[BLOCK_SUM]) - scalars[MEAN_SIZE])
-        scalars[MEAN_SQUARES] += share * (scalars[BLOCK_SQUARES] - scalars[MEAN_SQUARES])
-        # By the mean size, not the mean square: one block across a change must not count much.
-        spread = 0.5 * np.pi * scalars[MEAN_SIZE] ** 2
-        scalars[REPEATS] = max(spread / max(scalars[MEAN_SQUARES], 1e-300), 1.0)
-        scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
-
+    _learn_noise(z, min(after * after, limit * limit), uncertainty, dt, scalars, settings)
     scalars[TICK_TIME] += dt
     if scalars[TICK_TIME] < TICK - 1e-9:
         return False
@@ -241,8 +249,8 @@ def advance(
     look(matrices, vectors, ring, scalars)
     # Where the model is not quite right, the statistic is large from time to time on any ground.
     bound = settings[THRESHOLD] * max(scalars[LEVEL], 1.0)
-    usual = min(scalars[STATISTIC], bound) / (_BEST_OF_FOUR * p)
-    scalars[LEVEL] += TICK / settings[NOISE_MEMORY] * (usual - scalars[LEVEL])
+    level = min(scalars[STATISTIC], bound) / (_BEST_OF_FOUR * p)
+    scalars[LEVEL] += TICK / settings[NOISE_MEMORY] * (level - scalars[LEVEL])
     return bool(scalars[STATISTIC] > bound and scalars[MATERIAL] > settings[LEAST_MATERIAL])
 
 

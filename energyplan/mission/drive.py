@@ -358,12 +358,12 @@ class Simulation:
 
     @property
     def ways(self) -> tuple[bool, ...]:
-        """Whether to hurry: no, or both where windows press.
+        """Whether to hurry: no, or both where windows press and the speed is the cheapest.
 
-        Where no window ends a quicker way that takes more helps nothing: with the way of least
-        energy in its place all that follows can be done with more charge, later.
+        Where no window ends, driving faster for more energy helps nothing: at the speed of least
+        energy all that follows can be done with more charge, later.
         """
-        return (False, True) if self.timed else (False,)
+        return (False, True) if self.timed and self.mission.tread_speed is None else (False,)
 
     def leave_by(self, state: Status, stops: Sequence[int], hurried: Sequence[bool] = ()) -> float:
         """Return when to leave a place at the latest so that no later window is missed."""

@@ -574,16 +574,12 @@ class Matrix:
         self._inner = np.array([self._at[node] for node in self.nodes])
         self._ends = np.array([self._at[node] for node in sim.ends])
         size = len(self._places)
-        # of routes of least energy, then of least time; energies are NaN where none is planned
-        self._known = np.full((2, len(self._able), size, size), np.nan)
+        # of each way to drive them; NaN where no route is planned
+        self._known = np.full((len(sim.ways), len(self._able), size, size), np.nan)
         self._left = np.zeros(self._known.shape)  # charge to be left after each [J]
         self._lasting = self._straight()
-        self._fill(
-            (i, j, quick)
-            for i, j in product(self._places, repeat=2)
-            for quick in (False, True)
-            if sim.legs.planned(i, j, quick)
-        )
+        pairs = product(self._places, repeat=2)
+        self._fill((i, j) for i, j in pairs if sim.legs.planned(i, j))
 
     @property
     def true(self) -> bool:
@@ -603,19 +599,19 @@ class Matrix:
 
     # -- energies ---------------------------------------------------------------------------------
 
-    def _fill(self, routes: Iterable[tuple[int, int, bool]]) -> None:
+    def _fill(self, routes: Iterable[tuple[int, int]]) -> None:
         """Take over energies, charges to be left and times of routes that are planned."""
-        legs, slower = (
-            self._sim.legs,
-            1.0 + self._late * self._sim.quantile * (self._sim.mission.spreads.speed),
-        )
-        for i, j, quick in routes:
+        legs, sim = self._sim.legs, self._sim
+        slower = 1.0 + self._late * sim.quantile * sim.mission.spreads.speed
+        for i, j in routes:
             a, b = self._at[i], self._at[j]
-            if np.isnan(self._known[int(quick), 0, a, b]):
+            if not np.isnan(self._known[0, 0, a, b]):
+                continue
+            for way, quick in enumerate(sim.ways):
                 priced = self._over_loads(partial(self._leg, i, j, quick))
-                self._known[int(quick), :, a, b], self._left[int(quick), :, a, b] = priced
+                self._known[way, :, a, b], self._left[way, :, a, b] = priced
                 duration = legs.leg(i, j, self._state.payload, quick).duration
-                self._lasting[int(quick), a, b] = slower * duration
+                self._lasting[way, a, b] = slower * duration
 
     def _leg(self, i: int, j: int, quick: bool, payload: float) -> Leg:
         return self._sim.legs.leg(i, j, payload, quick)
@@ -704,15 +700,9 @@ class Matrix:
     def _between(self) -> tuple[FloatArray, FloatArray]:
         """Energies from place to place, and charges to be left after each; (M, L, P, P).
 
-        Those of a way to a path include the drive along it. A route of least time takes no less
-        than that of least energy.
+        Those of a way to a path include the drive along it.
         """
-        count = len(self._sim.ways)
-        known, left = self._known[:count].copy(), self._left[:count].copy()
-        for way in range(1, count):
-            unknown = np.isnan(known[way])
-            known[way] = np.where(unknown, known[0], known[way])
-            left[way] = np.where(unknown, left[0], left[way])
+        known, left = self._known, self._left.copy()
         energy = np.where(np.isnan(known), self._inflation * self._bounds, known)
         service = dict(zip(self._ways, self._fixed["service"], strict=True))
         for j, (more, after) in self._rows.items():
@@ -753,13 +743,15 @@ class Matrix:
         return felt.upper(self._caution * self._sim.quantile)
 
     def _straight(self) -> FloatArray:
-        """Return the times between places straight on at full speed, for both kinds of routes."""
+        """Return the times between places straight on at full speed, for each way to drive."""
         legs = self._sim.legs
         speed = legs.scene(self._state.payload).cost.admissible_speed(0.0)
         starts, goals = (np.array(ends)[self._places, :2] for ends in (legs.exits, legs.poses))
         distance = np.linalg.norm(starts[:, None] - goals[None], axis=-1)
         slower = self._sim.quantile * self._sim.mission.spreads.speed
-        return np.array([distance / float(speed) * (1.0 + self._late * slower)] * 2)
+        return np.array(
+            [distance / float(speed) * (1.0 + self._late * slower)] * len(self._sim.ways)
+        )
 
     # -- the problem ------------------------------------------------------------------------------
 
@@ -833,7 +825,7 @@ class Matrix:
             loads=self._loads,
             energy=energy[..., here, self._inner],
             finish=energy[:, 0][..., here, self._ends].min(axis=-1),
-            time=self._lasting[: len(sim.ways)][..., here, self._inner],
+            time=self._lasting[..., here, self._inner],
             finish_time=self._lasting[0][here, self._ends].min(axis=-1),
             payload=state.payload,
             change=self._change,
@@ -859,37 +851,34 @@ class Matrix:
 
     # -- routes -----------------------------------------------------------------------------------
 
-    def used(self, problem: OrderProblem, order: Order) -> list[tuple[int, int, bool]]:
-        """Routes that an order uses and whether in a hurry, the way to its end included."""
+    def used(self, problem: OrderProblem, order: Order) -> list[tuple[int, int]]:
+        """Routes that an order uses, the way to its end included."""
         here = [0, *order.stops]
         done = [self._option[s - 1] for s in order.stops if s <= len(self._ways)]
         load = problem.at(self._state.payload + self._change[done].sum())
         finish = self._between()[0][0, load][self._inner[here[-1]], self._ends]
         places = [self.nodes[k] for k in here]
-        return [
-            *((i, j, quick) for (i, j), quick in zip(pairwise(places), order.hurried, strict=True)),
-            (places[-1], self._sim.ends[int(finish.argmin())], False),
-        ]
+        return [*pairwise(places), (places[-1], self._sim.ends[int(finish.argmin())])]
 
-    def plan(self, wanted: Sequence[tuple[int, int, bool]]) -> None:
+    def plan(self, wanted: Sequence[tuple[int, int]]) -> None:
         """Plan some routes."""
         legs, payload, ratios = self._sim.legs, float(self._able[-1]), []
-        for i, j, quick in wanted:
-            leg, bound = self._leg(i, j, quick, payload), self._bounds[-1, self._at[i], self._at[j]]
+        for i, j in wanted:
+            leg, bound = self._leg(i, j, False, payload), self._bounds[-1, self._at[i], self._at[j]]
             if np.isfinite(leg.energy.mean) and bound > 0:
                 ratios.append(self._priced(leg.energy) / bound)
-        both = [*wanted, *((j, i, quick) for i, j, quick in wanted)]  # one plan may serve both
+        both = [*wanted, *((j, i) for i, j in wanted)]  # one plan may serve both
         self._fill(one for one in both if legs.planned(*one))
         if not self.exact and ratios:
             # a search cannot wait for all bounds to become true: let them be typical instead
             self._inflation = float(np.median(ratios))
 
-    def missing(self, problem: OrderProblem, order: Order) -> list[tuple[int, int, bool]]:
+    def missing(self, problem: OrderProblem, order: Order) -> list[tuple[int, int]]:
         """Return the routes of an order that are not planned."""
         return [
-            (i, j, quick)
-            for i, j, quick in self.used(problem, order)
-            if np.isnan(self._known[int(quick), 0, self._at[i], self._at[j]])
+            (i, j)
+            for i, j in self.used(problem, order)
+            if np.isnan(self._known[0, 0, self._at[i], self._at[j]])
         ]
 
     def solved(self, progress: Progress) -> Order:
@@ -917,7 +906,7 @@ class Matrix:
 def attempt(sim: Simulation, state: Status, task: int) -> Attempt:
     """Try a task, in a hurry or after charging where it cannot be done otherwise."""
     best = sim.nearest(state, task)
-    if best.reason == "late":
+    if best.reason == "late" and len(sim.ways) > 1:
         hurried = sim.nearest(state, task, hurried=True)
         best = best if hurried.reason == "late" else hurried
     if best.reason != "battery" or not sim.stations:

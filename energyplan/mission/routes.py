@@ -128,14 +128,14 @@ class Scene(ByValue):
 
         return all(map(alike, costs))
 
-    def plan(self, start: Pose, goal: Pose, hurried: bool) -> PlannedRoute:
-        """Plan the route of least energy from pose to pose; in a hurry that of least time."""
+    def plan(self, start: Pose, goal: Pose) -> PlannedRoute:
+        """Plan the route of least energy from pose to pose."""
         still = Path(start, np.zeros(0), np.zeros(0), self.cost.icr.longitudinal)
         if start == goal:
             return PlannedRoute(still)
         problem = PlanningProblem(
             self.map, self.cost, start, goal, surfaces=self.surfaces, heights=self.heights,
-            objective="time" if hurried else self.objective, clearance=self.clearance,
+            objective=self.objective, clearance=self.clearance,
         )  # fmt: skip
         for patience in (1, 10):
             effort = None if self.planning_effort is None else patience * self.planning_effort
@@ -150,7 +150,7 @@ class Scene(ByValue):
         return PlannedRoute(still, "time", last)
 
     def drive(self, path: Path, hurried: bool) -> Trajectory:
-        """Return a path's trajectory, as a plan of the same path is driven."""
+        """Return a path's trajectory, as a plan of it is driven; in a hurry as the motors can."""
         cost = self.cost
         if hurried and cost.tread_speed is None:
             cost = replace(cost, speed=cost.vehicle.motor.speed)
@@ -416,17 +416,17 @@ class Legs:
             )
         return self._bounds[payload]
 
-    def planned(self, start: int, goal: int, hurried: bool = False) -> bool:
+    def planned(self, start: int, goal: int) -> bool:
         """Return whether the route from node to node is known."""
         scene, here, there = self.planned_in, self.exits[start], self.poses[goal]
-        known = (scene, here, there, hurried) in self._cache
-        return known or (scene.symmetric and (scene, there, here, hurried) in self._cache)
+        known = (scene, here, there) in self._cache
+        return known or (scene.symmetric and (scene, there, here) in self._cache)
 
     def leg(self, start: int, goal: int, payload: float, hurried: bool = False) -> Leg:
-        """Return the leg of least energy (in a hurry: of least time) with a payload [kg]."""
+        """Return the leg of least energy with a payload [kg]; in a hurry driven faster."""
         key = (start, goal, payload, hurried)
         if key not in self._legs:
-            self._legs[key] = self._priced(self._route(start, goal, hurried), payload, hurried)
+            self._legs[key] = self._priced(self._route(start, goal), payload, hurried)
         return self._legs[key]
 
     def _once(self, key: Hashable, make: Callable[[], Value]) -> Value:
@@ -447,17 +447,15 @@ class Legs:
 
         return self._once((scene, *key), found)
 
-    def _route(self, start: int, goal: int, hurried: bool) -> PlannedRoute:
+    def _route(self, start: int, goal: int) -> PlannedRoute:
         """Plan from node to node, for the payload at the start of the mission."""
         names = self.names[start], self.names[goal]
-        route = self._between(self.exits[start], self.poses[goal], names, hurried)
+        route = self._between(self.exits[start], self.poses[goal], names)
         if route.stopped:
             self.stopped.add(frozenset((start, goal)))
         return route
 
-    def _between(
-        self, here: Pose, there: Pose, names: tuple[str, str], hurried: bool
-    ) -> PlannedRoute:
+    def _between(self, here: Pose, there: Pose, names: tuple[str, str]) -> PlannedRoute:
         """Plan from pose to pose."""
         scene = self.planned_in
 
@@ -465,14 +463,13 @@ class Legs:
             if here != there and scene.symmetric and there < here:
                 # one plan serves both ways; which one it is depends on the poses alone, so that a
                 # mission is the same whatever was planned on its map before
-                back = self._between(there, here, names[::-1], hurried)
+                back = self._between(there, here, names[::-1])
                 return replace(back, path=back.path.reversed())
             if self._progress is not None and here != there:
-                quickly = ", in a hurry" if hurried else ""
-                self._progress(f"planning from {names[0]} to {names[1]}{quickly}")
-            return scene.plan(here, there, hurried)
+                self._progress(f"planning from {names[0]} to {names[1]}")
+            return scene.plan(here, there)
 
-        return self._shared(scene, (here, there, hurried), planned)
+        return self._shared(scene, (here, there), planned)
 
     def row(self, node: int, payload: float) -> Leg | None:
         """Return the drive along a path at a node, its tool running, begun with a payload [kg].

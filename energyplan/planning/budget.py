@@ -22,6 +22,8 @@ Result = TypeVar("Result")
 
 EFFORT = 30_000  # default units of work for a plan
 
+_MOST_OF_DEFAULT = 4.0  # times the default effort that a plan spends at most while it gains
+
 PACE = 50_000
 """Units of work that count as a second where the two are compared.
 
@@ -118,6 +120,7 @@ class Budget:
         self._spent = [0.0]
         self._grown = [0.0]  # units that a default effort has more, shared by the parts
         self._share = 1.0  # part of these that is this budget's
+        self._extended = [0.0]  # units of these that were added since, shared by the parts
         self._grows = False
         self._hurried = [False]
         self._unwanted = _unwanted.get()
@@ -173,6 +176,16 @@ class Budget:
         if self._grows:
             self._grown[0] += max(units - SHARES.aside * (self.effort or 0), 0.0)
         self.spend(units)
+
+    def extend(self) -> bool:
+        """Add half as much again to a default effort, up to four times; return whether it was."""
+        units = SHARES.stage * (self.effort or 0)
+        most = (_MOST_OF_DEFAULT - 1.0) * (self.effort or 0)
+        if not self._grows or self._share < 1.0 or self._extended[0] + units > most:
+            return False
+        self._extended[0] += units
+        self._grown[0] += units
+        return True
 
     @property
     def limit(self) -> int | None:

@@ -15,7 +15,7 @@ from functools import cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
 from inspect import signature
-from math import inf
+from math import ceil, inf
 from pathlib import Path as File
 from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -41,6 +41,7 @@ from energyplan.path import ROUNDING, FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget, plan_budget
 from energyplan.planning.driven import DrivenPath, drive_plan, driven_bound
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
+from energyplan.planning.settings import STAGES
 from energyplan.planning.space.compiled import CompiledProblem, compiled
 from energyplan.planning.space.prices import Prices
 from energyplan.records import check_fields, checked
@@ -67,6 +68,8 @@ class Candidate:
         The shortest path found on the way; for the least energy it costs no less than `path`.
     driven : DrivenPath, optional
         What driving the path takes, from the planners of the library; it is computed for others.
+    open : bool
+        Whether the effort ended what might gain yet.
     """
 
     path: Path
@@ -74,6 +77,7 @@ class Candidate:
     first_time: float | None = None
     shortest: Path | None = None
     driven: DrivenPath | None = None
+    open: bool = False
 
 
 @dataclass(frozen=True)
@@ -271,6 +275,8 @@ class Plan(html.Readable):
         What it answers, which `driven` needs; a plan read from a pickle has been driven instead.
     shortest : Path, optional
         The shortest path that the planner found on the way, where it is known.
+    open : bool
+        Whether the effort ended what might gain yet; see `advice`.
 
     Examples
     --------
@@ -303,6 +309,7 @@ class Plan(html.Readable):
     notes: tuple[str, ...] = ()
     problem: PlanningProblem | None = field(default=None, repr=False, compare=False)
     shortest: Path | None = field(default=None, repr=False, compare=False)
+    open: bool = False
 
     def __getstate__(self) -> dict[str, object]:
         # the problem holds the map; the drive itself is small
@@ -482,8 +489,20 @@ class Plan(html.Readable):
 
     @property
     def all_notes(self) -> tuple[str, ...]:
-        """The notes, and why there is no gap where there is none."""
-        return (*self.notes, *(() if self.gap is not None else (_NO_GAP,)))
+        """The notes, why there is no gap where there is none, and what more effort may save."""
+        advice = [self.advice] if self.advice else []
+        return (*self.notes, *([] if self.gap is not None else [_NO_GAP]), *advice)
+
+    @property
+    def advice(self) -> str:
+        """What more effort may save, where effort ended a plan whose gap exceeds 3 %; else empty.
+
+        No path takes less than the lower bound, so this is the most that can be saved.
+        """
+        limit, gap = self.effort_limit, self.gap
+        if not self.open or limit is None or gap is None or not STAGES.gap < gap < np.inf:
+            return ""
+        return f"effort {2 * limit} may save up to {ceil(1000.0 * gap / (1.0 + gap)) / 10.0} %"
 
     def _costs(self) -> list[tuple[str, object]]:
         """Return rows of the cost, where it is not the energy alone, and of its lower bound."""
@@ -776,6 +795,7 @@ def priced_plan(
         soft_cost=soft,
         notes=(*notes, *budget.notes),
         shortest=found.shortest,
+        open=found.open,
     )
     if found.driven is not None:
         vars(plan)["driven"] = found.driven

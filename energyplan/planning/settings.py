@@ -72,12 +72,14 @@ class Refining(NamedTuple):
     near: int = 5  # the same at first where a path has more poses than `apart`
     fewer: float = 0.7  # share of the poses that is left above which that difference is doubled
     hopeless: int = 8  # poses in a row without a free shortcut after which none is tried
+    clear: float = 1e-3  # share of the cost that a shortcut saves unless it is not free
     insert: float = 0.02  # probability that a pose is inserted
     remove: float = 0.06  # probability that a pose is removed
     merge: float = 0.2  # probability that one replaces two, where stops have a price
     first: float = 0.3  # distance by which a pose is moved at first [m]
     anew: float = 0.2  # the same after the smallest [m]
     smallest: float = 1e-4  # least distance by which poses are moved [m]
+    aligned: float = 1e-5  # half the difference of headings below which they are one [rad]
     largest: float = 1.0  # largest distance by which poses are moved [m]
     longer: float = 1.6  # factor on the distance after a success
     shorter: float = 0.96  # factor on the distance after a failure
@@ -87,9 +89,8 @@ class Refining(NamedTuple):
     patience: int = 4000  # attempts without a gain until a path is left
     gain: float = 1e-4  # share of the cost that counts as one
     opening: float = 500.0  # units of work of a path's first turn, with its shortcuts
-    turns: float = 200.0  # units of work of each turn that follows
+    step: float = 300.0  # units that each step that follows takes at most
     kept: int = 4  # paths that stay in the portfolio
-    leading: int = 2  # how many of them get another turn
     hope: float = 1.03  # cost over the best one above which a path is given up [1]
     same: float = 1e-9  # share of the cost by which paths differ that count as two
 
@@ -110,21 +111,31 @@ class FewerStops(NamedTuple):
 STOPS = FewerStops()
 
 
-class Stages(NamedTuple):
-    """Work of the stages of planning. It does not depend on the budget: more only adds stages."""
+class Lane(NamedTuple):
+    """How much of the work after the first path is of one kind."""
 
-    first: float = 1000.0  # units of work of the first; each has twice that of the one before
-    routes: float = 0.3  # part of it for routes
-    aside: float = 0.075  # part for straight routes, and for the coarse lattice
-    passages: float = 0.25  # part for narrow passages
-    bound: float = 0.25  # part for the lower bound
+    share: float  # part of all work [1]
+    begins: float = 0.0  # units of all work after which it begins
+    units: float = 0.0  # units of its first step
+    divisible: bool = False  # whether a step that is cut short is of use
+
+
+class Stages(NamedTuple):
+    """Work after the first path. It does not depend on the budget, which only ends it."""
+
+    refining: Lane = Lane(0.3, divisible=True)
+    routes: Lane = Lane(0.25, units=300.0)
+    straight: Lane = Lane(0.1, units=150.0)
+    compared: Lane = Lane(0.06, 600.0, 75.0)
+    turning: Lane = Lane(0.1, 600.0, 300.0)
+    shortening: Lane = Lane(0.08, 500.0, 250.0, divisible=True)
+    bound: Lane = Lane(0.15, 800.0, 200.0)
+    passages: Lane = Lane(0.06, 4000.0)
+    driving: Lane = Lane(0.15, 1000.0)
+    varying: Lane = Lane(0.1, 2000.0)
+    gap: float = 0.03  # gap up to which a default effort is enough, and no more is advised
+    gain: float = 1e-3  # share of the cost that has to be gained for it to go on
     least_bound: float = 200.0  # units for the lower bound at first, whatever is left
-    short: float = 0.25  # part for shortening the shortest path
-    enough: float = 0.2  # part of its units up to which a search had enough of them
-    step: float = 300.0  # units that a step of refining a path takes at most
-    # part of the work done after which the best path is driven again, and units at least
-    drive: float = 0.25
-    drive_least: float = 1000.0
 
 
 STAGES = Stages()

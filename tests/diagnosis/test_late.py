@@ -11,7 +11,7 @@ from made_drives import pair
 
 from energyplan import DriveLog, Vehicle, diagnose, simulate
 from energyplan.diagnosis.judge import _between_samples
-from energyplan.fit.drive import Clock, Drive
+from energyplan.fit.drive import Drive, SampleTimes
 from energyplan.fit.estimate import Problem
 from energyplan.motion import Motion
 from energyplan.power import PowerModel
@@ -28,7 +28,7 @@ def test_delay_and_lag_are_found_beside_each_other(late_by: tuple[float, float])
         rng, sides = np.random.default_rng(seed), {}
         for name in ("p_left", "p_right"):
             power = log.channel(name)
-            seen = power if lag == 0.0 else Clock(log.t).lagged(power, lag)
+            seen = power if lag == 0.0 else SampleTimes(log.t).lagged(power, lag)
             sides[name] = seen + 5.0 * rng.standard_normal(len(power))
         return DriveLog({**log.channels, **sides}, log.name)
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from energyplan.errors import DriveLogError, InvalidInputError
 from energyplan.fit import drive as drives
 from energyplan.fit.contacts import preload
-from energyplan.fit.drive import Clock, Drive, prepared
+from energyplan.fit.drive import Drive, SampleTimes, prepared
 from energyplan.fit.estimate import Problem
 from energyplan.fit.regressors import DesignMatrix, linearise_drive
 from energyplan.logs import DriveLog
@@ -63,14 +63,14 @@ def test_a_lag_is_that_of_the_differential_equation() -> None:
     for k in range(len(x) - 1):
         middle = y[k] + 0.5 * step * (x[k] - y[k]) / lag
         y[k + 1] = y[k] + step * (0.5 * (x[k] + x[k + 1]) - middle) / lag
-    assert_allclose(Clock(t).lagged(values, lag), y[::fine], atol=1e-6)
-    both = Clock(t).lagged(np.column_stack([values, -values]), lag)
+    assert_allclose(SampleTimes(t).lagged(values, lag), y[::fine], atol=1e-6)
+    both = SampleTimes(t).lagged(np.column_stack([values, -values]), lag)
     assert_allclose(both, np.column_stack([y, -y])[::fine], atol=1e-6)
-    alone = Clock(np.append(t, t[-1] + 60.0)).lagged(np.append(values, 7.0), lag)
+    alone = SampleTimes(np.append(t, t[-1] + 60.0)).lagged(np.append(values, 7.0), lag)
     assert_allclose(alone, np.append(y[::fine], 7.0), atol=1e-6)
     one = drive(gap=True, late=drives.Late(0.0, lag))
     shown = one.seen(one.power)
-    assert_allclose(shown[200:], Clock(one.t[200:]).lagged(one.power[200:], lag))
+    assert_allclose(shown[200:], SampleTimes(one.t[200:]).lagged(one.power[200:], lag))
 
 
 @pytest.mark.parametrize("truth", [-0.73, 0.0, 0.41, 1.4])

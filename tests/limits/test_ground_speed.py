@@ -251,7 +251,7 @@ def test_the_least_time_leads_round_a_slow_zone(slow_hall):
     found = ep.plan(replace(slow_hall, objective="time"), effort=5000)
     # straight through takes 12 m at 1.2 m/s and 4 m at 0.1 m/s; round it are 17.42 m and turns
     assert 14.5 < found.cost_steady < found.cost == found.driven.duration < 21.0
-    assert found.all_notes == ()
+    assert found.notes == ()
 
 
 def test_the_least_energy_of_a_hotel_load_leads_round_a_slow_zone(slow_hall):

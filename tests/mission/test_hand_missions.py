@@ -199,8 +199,11 @@ def test_a_robot_hurries_where_a_window_presses(order: str) -> None:
     assert quickest.task("end").arrival < 0.999 * slow.task("end").arrival
     between = 0.5 * (quickest.task("end").arrival + slow.task("end").arrival)
     shut = replace(calm.tasks[0], window=(0.0, between))
-    report = evaluate(replace(calm, tasks=(shut,)))
+    lines: list[str] = []
+    report = evaluate(replace(calm, tasks=(shut,)), lines.append)
     assert report.task("end").verdict == "reachable"
+    assert report.paths == slow.paths  # of which one route is known
+    assert len({line for line in lines if line.startswith("planning")}) <= 1
     assert report.task("end").arrival == pytest.approx(quickest.task("end").arrival, rel=1e-3)
     assert report.energy > slow.energy
 

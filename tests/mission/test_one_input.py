@@ -82,7 +82,7 @@ def mission() -> Mission:
     return Mission(
         model(), hall(), battery(), (1.2, 2.5, 0.0), (look, wash),
         (Charger("dock", (1.2, 1.2, 0.0), power=400.0, until=0.9),), ground(), 2.0,
-        {"base": {20.0: model(0.5, "heavy")}}, soc=0.9, planning_effort=1000, waiting=10.0,
+        {"base": {20.0: model(0.5, "heavy")}}, soc=0.9, planning_effort=100, waiting=10.0,
         clearance=0.05,
     )  # fmt: skip
 

@@ -83,7 +83,7 @@ def test_graphs_go_round_and_ranges_and_the_shortest_path_do_not_count_it():
     assert route.cost == pytest.approx(route.energy)
     both = [ep.energy_map(across(second)).energy for second in (0.0, 5000.0)]
     assert np.array_equal(*both)
-    found = ep.compare(across(1000.0), effort=10_000)
+    found = ep.compare(across(1000.0), effort=3000)
     assert found.shortest.length == pytest.approx(16.0)
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from math import atan2, cos, hypot, inf, pi
+from math import atan2, cos, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -88,11 +88,15 @@ def shortcut(
             if setting.least_metre * hypot(dx, dy) >= limit:
                 continue
             steered += 1
-            if steer_energy(dx, dy, a.yaw, b.yaw, setting.steering) >= limit:
+            least = steer_energy(dx, dy, a.yaw, b.yaw, setting.steering)
+            if least >= limit:
                 continue
             tested += 1
             cost, _ = join(setting, a, b, limit + setting.stop, ds, dtheta)
-            blocked = blocked + 1 if cost == inf else 0
+            if cost < inf:
+                blocked = 0
+            elif least < limit * (1.0 - REFINING.clear):  # else it may only cost too much
+                blocked += 1
             if cost < limit + setting.stop:
                 best[j] = best[i] + cost
                 before[j] = i
@@ -202,7 +206,10 @@ def _between(chain: Chain, setting: KernelProblem, k: int, state: Words) -> Pose
 
 @inner
 def _facing(chain: Chain, k: int, pose: Pose, left_out: int, state: Words) -> Pose:
-    """Return a place for pose `k`, facing along the straight line from or to its neighbour."""
+    """Return a place for pose `k`, facing along the straight line from or to its neighbour.
+
+    Where the neighbour nearly faces along it too, the place is on its line: no tiny turn is left.
+    """
     if random_number(state) < 0.5:
         other = pose_at(chain.poses, k - 1)
         yaw = atan2(pose.y - other.y, pose.x - other.x)
@@ -211,6 +218,11 @@ def _facing(chain: Chain, k: int, pose: Pose, left_out: int, state: Words) -> Po
         yaw = atan2(other.y - pose.y, other.x - pose.x)
     if cos(yaw - pose.yaw) < 0.0:
         yaw += pi
+    if abs(sin(0.5 * (yaw - other.yaw))) < REFINING.aligned:
+        ahead = (pose.x - other.x) * cos(other.yaw) + (pose.y - other.y) * sin(other.yaw)
+        x = other.x + ahead * cos(other.yaw)
+        y = other.y + ahead * sin(other.yaw)
+        return Pose(x, y, other.yaw)
     return Pose(pose.x, pose.y, yaw)
 
 
@@ -482,7 +494,6 @@ class Portfolio:
         self.seed = seed
         self._entered: list[float] = []
         self._fresh: list[Refiner] = []
-        self._grown = False
         self._kept: list[Refiner] = []
         self._steps: dict[Refiner, Iterator[Callable[[Budget], None]]] = {}
 
@@ -508,45 +519,35 @@ class Portfolio:
             self.cost, self.best = entrant.cost, entrant.segments
 
     @property
-    def waiting(self) -> bool:
-        """Whether a path waits for its turn."""
-        return bool(self._fresh) or self._grown
+    def fresh(self) -> bool:
+        """Whether a path that was entered has not been refined yet."""
+        return bool(self._fresh)
 
-    def turns(self, enough: float) -> list[Work]:
-        """Return what refines, a little, every path entered since, and the best of the others."""
+    def work(self, enough: float) -> Work | None:
+        """Return the next step of refining: of a path not refined yet, or of the best that gains.
 
-        def turn(entrant: Refiner, first: bool, own: Budget) -> None:
-            if first:
-                entrant.shortcut(own)
-            entrant.polish(own, enough)
+        Nothing is gained by a path whose cost is `enough`.
+        """
+        if self._fresh:
+            entrant = self._fresh.pop(0)
+            steps = self._steps[entrant] = entrant.steps()
 
-        fresh, self._fresh = self._fresh, []
-        leading = self._kept[: REFINING.leading] if self._grown else []
-        self._grown = bool(fresh)
-        self._kept += fresh
+            def first(own: Budget) -> None:
+                next(steps)(own)  # its shortcuts, then some moved poses
+                if entrant.cost > enough:
+                    next(steps)(own)
 
-        def work(entrant: Refiner, first: bool, units: float) -> Work:
-            return Work(partial(turn, entrant, first), units, lambda _: self._settle(entrant))
+            return Work(first, REFINING.opening, partial(self._keep, entrant))
+        for entrant in self._kept:
+            if self.cost <= enough or entrant.cost > REFINING.hope * self.cost:
+                break
+            step = next(self._steps[entrant], None)
+            if step is not None:
+                return Work(step, REFINING.step, partial(self._keep, entrant))
+        return None
 
-        return [
-            *(work(entrant, True, REFINING.opening) for entrant in fresh),
-            *(work(entrant, False, REFINING.turns) for entrant in leading),
-        ]
-
-    def _settle(self, entrant: Refiner) -> None:
+    def _keep(self, entrant: Refiner, _: object = None) -> None:
         """Take in what a path was refined to, and keep the best few."""
         self._offer(entrant)
-        self._kept = sorted(self._kept, key=lambda one: one.cost)[: REFINING.kept]
-
-    def improve(self, budget: Budget) -> bool:
-        """Refine a path by a step, the best first; return whether there was one that gained yet."""
-        self._kept.sort(key=lambda one: one.cost)
-        for entrant in self._kept:
-            if entrant.cost > REFINING.hope * self.cost:
-                break
-            step = next(self._steps.setdefault(entrant, entrant.steps()), None)
-            if step is not None:
-                step(budget)
-                self._offer(entrant)
-                return True
-        return False
+        kept = dict.fromkeys([*self._kept, entrant])
+        self._kept = sorted(kept, key=lambda one: one.cost)[: REFINING.kept]

@@ -6,14 +6,15 @@
    between the poses with room.
 2. `find_first`: the shortest route through the free configurations is tracked by exact
    minimum-energy motions, and shortened to a first plan; other searches where that fails.
-3. `_Stages`: the first path is refined a little and driven, where stops take energy or time, so
-   that a stop has a price from then on. Then come stages of growing work: routes, each cheapest by
-   its length and turns and the later ones away from the former, are tracked, a coarse lattice
-   compares routes through open ground, a lower bound on every path's cost is computed, and narrow
-   passages are searched. The shortest of all paths is shortened: it is the answer where
-   length is the objective, and a plan of least energy costs no more. The best paths are refined,
-   and driven from time to time. Planning ends when the budget is over, the gap to the bound is
-   closed, or nothing is gained any more.
+3. `_Stages`: the first path is refined a little, its lower bound and the shortcuts of the shortest
+   path are computed, and it is driven where stops take energy or time, so that a stop has a price
+   from then on. Then the kinds of work take turns by their shares: routes, each cheapest by its
+   length and turns and the later ones away from the former, are tracked, straight routes and a
+   coarse lattice compare routes through open ground, a lower bound on every path's cost is
+   computed, narrow passages are searched, and the paths are refined. The shortest of all paths is
+   shortened: it is the answer where length is the objective, and a plan of least energy costs no
+   more. The best path is driven from time to time. Planning ends when the budget is over, the gap
+   to the bound is closed, or nothing is gained any more.
 
 Each path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
 quicker: a single spin replaces pivots back and forth.
@@ -21,17 +22,17 @@ quicker: a single spin replaces pivots back and forth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from math import remainder
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from energyplan import steering
-from energyplan.compilation import KERNELS, compile_kernels
+from energyplan.compilation import KERNELS, Ints, compile_kernels
 from energyplan.cost import EnergyCost
 from energyplan.cost.steering import StaticSteering
 from energyplan.errors import InvalidInputError, PlanningError
@@ -44,11 +45,11 @@ from energyplan.planning.problem import PlanningProblem, is_length, objective_we
 from energyplan.planning.search.first import Paths, between_ends, find_first
 from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.search.narrow.ends import surely_has_room
-from energyplan.planning.search.narrow.passages import passage_work
+from energyplan.planning.search.narrow.passages import paths_through_passages, units_for_passages
 from energyplan.planning.search.optimise import Portfolio, Refiner
-from energyplan.planning.search.routes import cheapest_routes, straight_routes
-from energyplan.planning.search.stops import Answer, with_expensive_turns
-from energyplan.planning.settings import LATTICE, REFINING, STAGES, STOPS
+from energyplan.planning.search.routes import Routes, straight_way
+from energyplan.planning.search.stops import Answer, Weighed, with_expensive_turns
+from energyplan.planning.settings import LATTICE, REFINING, ROUTES, STAGES, STOPS, Lane
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import regions_for
 from energyplan.records import checked
@@ -88,13 +89,24 @@ def plan(
             least.know(bound - query.potential(problem.goal))
         beyond = query.value(path) - query.potential(problem.goal)
         do_together(budget, least.work(beyond, SHARES.aside * budget.left))
-        return Candidate(path, query.potential(problem.goal) + least.value, first)
+        value = query.potential(problem.goal) + least.value
+        return Candidate(path, value, first, open=stages.over)
     path, driven = stages.answered()
     beyond = query.value(path) - query.potential(problem.goal)
     left = min(budget.left, SHARES.aside * (budget.limit or 0))
     do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
     value = query.potential(problem.goal) + paths.bounding.value
-    return Candidate(path, value, first, None if stages.exact else stages.shortest.path, driven)
+    shortest = None if stages.exact else stages.shortest.path
+    return Candidate(path, value, first, shortest, driven, stages.over)
+
+
+class _Shortened(NamedTuple):
+    """What came of shortening the shortest path."""
+
+    gains: bool  # whether more of it may gain
+    motions: Segments | None = None
+    length: Weighed | None = None
+    answer: Weighed | None = None
 
 
 class _EffortOverError(Exception):
@@ -102,10 +114,10 @@ class _EffortOverError(Exception):
 
 
 class _Stages:
-    """The stages after the first path: routes, shortening and refining, each with more work.
+    """The work after the first path: further routes, shortening, a bound and refining in turn.
 
-    No step depends on the budget but by whether it fits: a larger budget does the same and then
-    more. So a plan of more effort is never worse.
+    What is next depends on the work done alone, and a budget only ends it: a larger one does the
+    same and then more. So a plan of more effort is never worse.
     """
 
     def __init__(
@@ -114,59 +126,121 @@ class _Stages:
         query = paths.query
         self.length = length  # whether the shortest path is the answer
         self.paths, self.budget, self.known = paths, budget, known
-        self.begun = budget.spent
         self.answer = Answer(query, stops_count(query.problem))
         self.short_query = compiled(query.problem.shortest)
         self.shortest = Answer(self.short_query, driven=False)
         self.short = None if is_length(query.problem) else Portfolio(self.short_query.setting, 1)
-        self.short_open = self.short is not None
-        self.open = {"routes", "straight", "compared", "turning", "passages"}
-        self.varied = -1.0
-        self.driven_at = 0.0
+        self.looked = 0  # paths entered of which the shortest is known
+        self.lanes: dict[str, Iterator[Work | None]] = {
+            "refining": self._refining(),
+            "routes": self._routing("routes"),
+            "straight": self._straight(),
+            "compared": self._comparing(),
+            "turning": self._routing("turning"),
+            "shortening": self._shortening(),
+            "bound": self._bounding(),
+            "passages": self._passages(),
+            "driving": self._driving(),
+            "varying": self._varying(),
+        }
+        self.spent = dict.fromkeys(self.lanes, 0.0)
+        self.cut = dict.fromkeys(self.lanes, False)  # whether the last step needed more
+        self.done = 0.0
+        self.mark = np.inf  # what the answer cost before the last half of the effort
+        self.over = False  # whether the effort ended what might gain yet
 
     def run(self) -> None:
         """Do all steps that fit, until nothing is left to gain."""
-        with suppress(_EffortOverError):
-            self._begin()
-            size = STAGES.first
-            while True:
-                self._search(size)
-                self._weigh()
-                gains = self._improve(size)
-                size *= 2.0
-                if not (gains or self.open or self.shortening):
-                    break
+        self._begin()
+        half = SHARES.stage * (self.budget.limit or 0)
+        try:
+            while due := self._due():
+                if self.budget.spent < half:
+                    self.mark = self.value
+                self._do(due)
+        except _EffortOverError:
+            self.over = True
+
+    def _due(self) -> list[tuple[str, Work]]:
+        """Return the steps that are next: one, and another if that is late too."""
+        found: list[tuple[str, Work]] = []
+
+        def turn(name: str) -> float:
+            lane: Lane = getattr(STAGES, name)
+            return lane.begins + self.spent[name] / lane.share
+
+        for name in sorted(self.lanes, key=turn):
+            if found and turn(name) > self.done:
+                break
+            work = next(self.lanes[name])
+            if work is not None:
+                found.append((name, self._measured(name, work)))
+            if len(found) == 2:
+                break
+        return found
+
+    def _measured(self, name: str, work: Work) -> Work:
+        """Return some work of a kind, of which is known afterwards what it took."""
+
+        def run(own: Budget) -> Any:
+            found = work.run(own)
+            self.spent[name] += max(own.spent, _LEAST)
+            self.cut[name] = own.left < 1.0
+            return found
+
+        return work._replace(run=run)
+
+    def _do(self, due: Sequence[tuple[str, Work]]) -> None:
+        """Do some steps at once; the last one that fits alone if they do not fit together."""
+        before = self.budget.spent
+        units = sum(work.units for _, work in due)
+        if units > self.budget.left and self._gains and self.budget.extend():
+            self.mark = self.value
+        if units <= self.budget.left:
+            do_together(self.budget, [work for _, work in due])
+            self.done += self.budget.spent - before
+            return
+        for name, work in due:
+            left = self.budget.left
+            if not left > 0:
+                raise _EffortOverError
+            own = self.budget.apart(work.units)
+            found = work.run(own)
+            self.budget.spend(own.spent)
+            over = left < work.units and self.cut[name]
+            if not over or (getattr(STAGES, name).divisible and not self.answer.drives):
+                work.take(found)
+            if over:
+                raise _EffortOverError
+        self.done += self.budget.spent - before
 
     @property
-    def done(self) -> float:
-        """Units of work done since the first path was known."""
-        return self.budget.spent - self.begun
+    def value(self) -> float:
+        """What the answer costs, as the paths are compared."""
+        return self.answer.value if self.answer.drives else self.paths.cost
+
+    @property
+    def _gains(self) -> bool:
+        """Whether more effort than the default one may pay."""
+        gained = self.value < self.mark * (1.0 - STAGES.gain)
+        return gained and self.paths.cost > self.paths.bounding.value * (1.0 + STAGES.gap)
 
     @property
     def closed(self) -> bool:
         """Whether no path is better by more than the gap that is allowed."""
+        return self.paths.cost <= self.enough
+
+    @property
+    def enough(self) -> float:
+        """Cost at which no path is better by more than the gap that is allowed."""
+        return self.paths.enough if self.paths.stop == 0.0 else 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Whether no path is better, so that the shortest one does not matter."""
         paths = self.paths
-        return paths.stop == 0.0 and paths.cost <= paths.enough
-
-    def _need(self, units: float) -> None:
-        """End the stages if so many units of work are not left."""
-        if self.budget.left < units:
-            raise _EffortOverError
-
-    def _do(self, works: Sequence[Work]) -> None:
-        """Do some work at once, if it fits."""
-        self._need(sum(work.units for work in works))
-        do_together(self.budget, works)
-
-    def _weigh(self) -> None:
-        """Take the best path that is known, if driving it takes less than the answer."""
-        query = self.paths.query
-        if self.answer.drives:
-            self._need(UNITS.drive)
-        elif isinstance(query.problem.cost.steering_parameters, StaticSteering):
-            return  # one at the end will do
-        self.answer.weigh(_finished(query, self.paths.portfolio.best), self.budget)
-        self.driven_at = self.done
+        least = paths.bounding.value * (1.0 + REFINING.same)
+        return not self.length and paths.stop == 0.0 and paths.cost <= least
 
     def _begin(self) -> None:
         """Refine the first path a little, drive it, and price its stops."""
@@ -182,150 +256,239 @@ class _Stages:
         for path in self.known:
             self.shortest.weigh(path, self.budget)
             answer.weigh(path, self.budget)
-        own = Budget(effort=round(STAGES.least_bound))
-        do_together(own, paths.bounding.work(paths.cost, STAGES.least_bound))
-        self.budget.spend(own.spent)
         if answer.each:
             paths.price_stops(answer.each)
             self._refine_first()
             answer.weigh(_finished(paths.query, paths.portfolio.best), self.budget)
-            self.driven_at = self.done
+        for work in paths.bounding.work(paths.cost, STAGES.least_bound):
+            self._at_any_rate(work)
+        compared = self.length or set(objective_weights(paths.query.problem.objective)) == {
+            "energy"
+        }
+        if self.short is not None and compared and not self.exact:
+            # no more than its shortcuts, which take little work
+            run = partial(self._shorten, self.short, enough=np.inf)
+            units = REFINING.opening + UNITS.drive
+            self._at_any_rate(Work(run, units, self._take_shorter))
+
+    def _at_any_rate(self, work: Work) -> None:
+        """Do some work, whatever is left."""
+        own = Budget(effort=round(work.units))
+        work.take(work.run(own))
+        self.budget.spend(own.spent)
 
     def _refine_first(self) -> None:
         """Refine the paths that are known a little, whatever is left."""
-        works = self.paths.portfolio.turns(self.paths.enough)
-        own = Budget(effort=1 + round(sum(work.units for work in works)))
-        do_together(own, works)
-        self.budget.spend(own.spent)
-
-    def _turns(self) -> None:
-        """Refine, a little, every path that was entered."""
         portfolio = self.paths.portfolio
-        while portfolio.waiting:
-            works = portfolio.turns(self.paths.enough)
-            for k in range(0, len(works), 2):
-                self._do(works[k : k + 2])
+        while portfolio.fresh and (work := portfolio.work(self.enough)):
+            self._at_any_rate(work)
 
-    def _search(self, size: float) -> None:
-        """Search further paths, shorten the shortest one, and search a better bound."""
-        if self.closed:
-            self.open.clear()
-        if not self.open:
-            self._shorten(size)
-            return
+    def _refining(self) -> Iterator[Work | None]:
+        """Yield steps of refining, and nothing where none gains at present."""
+        while True:
+            yield self.paths.portfolio.work(self.enough)
+
+    def _routing(self, name: str) -> Iterator[Work | None]:
+        """Yield searches for the cheapest routes by length and turns, or by expensive turns."""
+        paths, lane = self.paths, getattr(STAGES, name)
+        if name == "routes":
+            routes = Routes(paths.setting, paths.to_go, paths.stuck)
+        else:
+            while self.closed or not self._stops_matter or not self.answer.best().turning > 0.0:
+                yield None
+            per_radian = self.answer.extra / self.answer.best().turning
+            routes = Routes(with_expensive_turns(paths.setting, per_radian), paths.to_go)
+        units = lane.units
+
+        def enter(way: Segments | None) -> None:
+            paths.enter_between([] if way is None else [way])
+
+        def run(own: Budget) -> Segments | None:
+            return routes.following(own, int(min(units, own.left) / UNITS.state))
+
+        while routes.open:
+            found = routes.found
+            yield None if self.closed else Work(run, 2.0 * units, enter)
+            if not self.closed and routes.found == found:
+                units *= 2.0
+        while True:
+            yield None
+
+    def _straight(self) -> Iterator[Work | None]:
+        """Yield searches for routes of long straight steps."""
+        paths, units = self.paths, STAGES.straight.units
+        known: list[Ints] = []
+
+        def enter(way: Segments | None) -> None:
+            paths.enter_hopeful([] if way is None else [way])
+
+        for turns in ROUTES.turns:
+            self.cut["straight"] = True
+            while self.cut["straight"]:
+                if self.closed:
+                    yield None
+                    continue
+                run = partial(straight_way, paths.setting, paths.to_go, turns, known)
+                yield Work(run, units, enter)
+                if self.cut["straight"]:
+                    units *= 2.0
+        while True:
+            yield None
+
+    def _comparing(self) -> Iterator[Work | None]:
+        """Yield parts of a search of a coarse lattice along the map's axes, for open routes."""
         paths, setting = self.paths, self.paths.setting
-        works = {
-            "routes": Work(
-                partial(cheapest_routes, setting, paths.to_go, stuck=paths.stuck),
-                STAGES.routes * size, paths.enter_between,
-            ),
-            "straight": Work(
-                partial(straight_routes, setting, paths.to_go),
-                STAGES.aside * size, paths.enter_hopeful,
-            ),
-            "compared": _compared(paths, STAGES.aside * size),
-        }  # fmt: skip
-        turning = self.answer.path.turning if self.answer.path else 0.0
-        if self.answer.extra > STOPS.most * abs(self.answer.value) and turning > 0.0:
-            expensive = with_expensive_turns(setting, self.answer.extra / turning)
-            works["turning"] = works["routes"]._replace(
-                run=partial(cheapest_routes, expensive, paths.to_go)
-            )
-        for name, work in works.items():
-            if name in self.open:
-                self._do([self._whole(name, work)])
-                self._turns()
-            if name == "routes":
-                self._shorten(size)
-        self._do(paths.bounding.work(paths.cost, STAGES.bound * size))
-        if "passages" in self.open and not paths.through_passages:
-            units = STAGES.passages * size
-            several = passage_work(setting, paths.to_go, units, paths.enter_between)
-            self._do([self._whole("passages", work) for work in several])
-            self._turns()
+        lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
+        spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
+        rotated = setting._replace(start=start._replace(yaw=start.yaw + spin))
+        free = motion_free(setting.space, setting.body, *start, 0.0, spin, 0.0)
+        if setting.widest > 0.0 or not free:
+            spin, rotated = 0.0, setting
+        search = Search(rotated, paths.to_go, lattice, 1.0)
 
-    def _whole(self, name: str, work: Work) -> Work:
-        """Return some work that is not done again once it did not need all of its units."""
+        def enter(found: Segments | None) -> None:
+            if found is not None:
+                whole = Segments(np.append(0.0, found.ds), np.append(spin, found.dtheta))
+                paths.enter_between([whole])
 
-        def run(own: Budget) -> Any:
-            found = work.run(own)
-            if own.spent <= STAGES.enough * work.units:
-                self.open.discard(name)
-            return found
+        self.cut["compared"] = True
+        while self.cut["compared"]:
+            if self.closed:
+                yield None
+                continue
+            limit = LATTICE.hope * paths.cost
+            yield Work(partial(search.cheapest, limit=limit), STAGES.compared.units, enter)
+        while True:
+            yield None
 
-        return work._replace(run=run)
+    def _bounding(self) -> Iterator[Work | None]:
+        """Yield searches for a better lower bound."""
+        paths, units = self.paths, STAGES.bound.units
+        while True:
+            for work in [] if self.closed else paths.bounding.work(paths.cost, units):
+                yield work
+                units *= 2.0
+            yield None
 
-    @property
-    def shortening(self) -> bool:
-        """Whether the shortest path may become shorter yet."""
-        return self.short is not None and self.short_open and not self.exact
+    def _passages(self) -> Iterator[Work | None]:
+        """Yield searches for narrow passages."""
+        paths, known = self.paths, self.paths.to_go
+        units = units_for_passages(known)
+        self.cut["passages"] = not paths.through_passages
+        while self.cut["passages"]:
+            if self.closed:
+                yield None
+                continue
+            run = partial(paths_through_passages, paths.setting, known)
+            yield Work(run, units, paths.enter_between)
+            units *= 2.0
+        while True:
+            yield None
 
-    @property
-    def exact(self) -> bool:
-        """Whether no path is better, so that the shortest one does not matter."""
-        paths = self.paths
-        least = paths.bounding.value * (1.0 + REFINING.same)
-        return not self.length and paths.stop == 0.0 and paths.cost <= least
+    def _shortening(self) -> Iterator[Work | None]:
+        """Yield steps that make the shortest of the paths found shorter."""
+        units, short = STAGES.shortening.units, self.short
+        gains = short is not None
+        while short is not None and gains:
+            if self.exact:
+                yield None
+                continue
+            gains = False  # until it was done
 
-    def _shorten(self, size: float) -> None:
-        """Shorten the shortest of the paths found a little more."""
-        if self.short is not None and not self.exact:
-            self._need(STAGES.short * size + (UNITS.drive if self.answer.drives else 0.0))
-            self._shorten_by(STAGES.short * size)
+            def take(found: _Shortened) -> None:
+                nonlocal gains
+                gains = found.gains
+                self._take_shorter(found)
+                if found.motions is not None:
+                    self.paths.enter(self.paths.query.motions_of(self.short_query, found.motions))
 
-    def _shorten_by(self, units: float) -> None:
-        """Shorten the shortest of the paths found by so many units of work, whatever is left."""
-        paths, short = self.paths, self.short
-        if short is None or self.exact:
-            return
-        base, of = paths.query, self.short_query
-        known = (of.motions_of(base, one) for one in [*paths.entered, paths.portfolio.best])
-        every = [Refiner(of.setting, one) for one in known]
-        short.enter(min(every, key=lambda one: one.cost).segments)
-        enough = Bounding(of).value * (1.0 + paths.gap)
-        own = Budget(effort=round(units))
-        while short.waiting and not own.over:
-            do_together(own, short.turns(enough))
-        while self.short_open and not own.over and short.cost > enough:
-            self.short_open = short.improve(own)
-        self.short_open = self.short_open and short.cost > enough
-        self.budget.spend(own.spent)
+            drive = UNITS.drive if self.answer.drives else 0.0
+            yield Work(partial(self._shorten, short), units + drive, take)
+            units *= 2.0
+        while True:
+            yield None
+
+    def _shorten(self, short: Portfolio, own: Budget, enough: float = 0.0) -> _Shortened:
+        """Shorten the shortest of the paths found, until its cost is `enough`."""
+        paths, of = self.paths, self.short_query
+        entered, self.looked = paths.entered[self.looked :], len(paths.entered)
+        known = (of.motions_of(paths.query, one) for one in [*entered, paths.portfolio.best])
+        shortest = min((Refiner(of.setting, one) for one in known), key=lambda one: one.cost)
+        short.enter(shortest.segments)
+        enough = max(enough, Bounding(of).value * (1.0 + paths.gap))
+        gains, kept = True, UNITS.drive if self.answer.drives else 0.0
+        while gains and own.left > kept and (short.fresh or short.cost > enough):
+            work = short.work(enough)
+            gains = work is not None
+            if work is not None:
+                work.take(work.run(own))
+        gains = gains and short.cost > enough
         with suppress(PlanningError):
             found = _finished(of, short.best)
-            self.shortest.weigh(found, self.budget)
-            self.answer.weigh(found, self.budget)
-            paths.enter(base.motions_of(of, short.best))
+            length, answer = self.shortest.weighed(found, own), self._weighed(found, own)
+            return _Shortened(gains, short.best, length, answer)
+        return _Shortened(gains)
 
-    def _improve(self, size: float) -> bool:
-        """Refine the best path until the next stage is due; return whether it still gains."""
-        portfolio, more = self.paths.portfolio, bool(self.open) or self.shortening
-        while not self.closed:
-            if more and self.done >= 2.0 * size:
-                return True
-            self._need(STAGES.step)
-            if not portfolio.improve(self.budget):
-                break
-            due = max(STAGES.drive_least, STAGES.drive * self.done)
-            if self.done >= self.driven_at + due:
-                self._weigh()
-        self._weigh()
-        self._vary()
-        return False
+    def _take_shorter(self, found: _Shortened) -> None:
+        """Take in the shortest path."""
+        self.shortest.take(found.length)
+        self.answer.take(found.answer)
 
-    def _vary(self) -> None:
-        """Drive paths near the best one that are best at other prices of a stop."""
-        paths, answer = self.paths, self.answer
-        if self.varied == paths.cost or not answer.extra > STOPS.most * abs(answer.value):
-            return
-        self.varied = paths.cost
-        for factor in STOPS.prices:
-            self._need(2.0 * STAGES.step + UNITS.drive)
-            setting = paths.query.setting._replace(stop=factor * paths.stop)
-            refiner = Refiner(setting, paths.portfolio.best)
-            refiner.shortcut(self.budget)
-            refiner.polish(self.budget, most=STOPS.polish)
+    def _driving(self) -> Iterator[Work | None]:
+        """Yield drives of the best path."""
+        paths = self.paths
+        weighed = paths.cost if paths.stop else np.inf
+        static = isinstance(paths.query.problem.cost.steering_parameters, StaticSteering)
+        while self.answer.drives or not static:  # else one at the end will do
+            if not paths.cost < weighed:
+                yield None
+                continue
+            weighed = paths.cost
+            yield Work(
+                self._weighing(Refiner(paths.setting, paths.portfolio.best)),
+                UNITS.drive,
+                self.answer.take,
+            )
+        while True:
+            yield None
+
+    def _weighing(self, refiner: Refiner, most: int = 0) -> Callable[[Budget], Weighed | None]:
+        """Return the work of driving a path, after refining it."""
+
+        def run(own: Budget) -> Weighed | None:
+            if most:
+                refiner.shortcut(own)
+                refiner.polish(own, most=most)
             with suppress(PlanningError):
-                answer.weigh(_finished(paths.query, refiner.segments), self.budget)
+                return self._weighed(_finished(self.paths.query, refiner.segments), own)
+            return None
+
+        return run
+
+    def _weighed(self, path: Path, own: Budget) -> Weighed | None:
+        """Return what driving a path takes; where too little is left for it, nothing is."""
+        if self.answer.drives and own.left < UNITS.drive:
+            own.spend(own.left)
+            return None
+        return self.answer.weighed(path, own)
+
+    @property
+    def _stops_matter(self) -> bool:
+        """Whether stops take so much that other routes are searched for."""
+        return self.answer.extra > STOPS.most * abs(self.answer.value)
+
+    def _varying(self) -> Iterator[Work | None]:
+        """Yield drives of paths near the best one that are best at other prices of a stop."""
+        paths, varied = self.paths, -1.0
+        while True:
+            if varied == paths.cost or not self._stops_matter:
+                yield None
+                continue
+            varied = paths.cost
+            for factor in STOPS.prices:
+                setting = paths.query.setting._replace(stop=factor * paths.stop)
+                run = self._weighing(Refiner(setting, paths.portfolio.best), STOPS.polish)
+                yield Work(run, 2.0 * REFINING.step + UNITS.drive, self.answer.take)
 
     def answered(self) -> tuple[Path, DrivenPath | None]:
         """Return the best path, and its drive where paths were driven."""
@@ -335,22 +498,7 @@ class _Stages:
         return answer.best(), answer.driven
 
 
-def _compared(paths: Paths, units: float) -> Work:
-    """Return a search of a coarse lattice along the map's axes, which compares open routes."""
-    setting = paths.setting
-    lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
-    spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
-    rotated = setting._replace(start=start._replace(yaw=start.yaw + spin))
-    if setting.widest > 0.0 or not motion_free(setting.space, setting.body, *start, 0.0, spin, 0.0):
-        spin, rotated = 0.0, setting
-    search, limit = Search(rotated, paths.to_go, lattice, 1.0), LATTICE.hope * paths.cost
-
-    def enter(found: Segments | None) -> None:
-        if found is not None:
-            whole = Segments(np.append(0.0, found.ds), np.append(spin, found.dtheta))
-            paths.enter_between([whole])
-
-    return Work(partial(search.cheapest, limit=limit), units, enter)
+_LEAST = 10.0  # units of work as which a step counts at least
 
 
 def _finished(query: CompiledProblem, motions: Segments) -> Path:

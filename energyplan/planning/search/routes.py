@@ -95,50 +95,76 @@ def penalised(
     return raised
 
 
+class Routes:
+    """The cheapest ways, one after the other; each avoids the former and where one was stuck."""
+
+    def __init__(
+        self, setting: KernelProblem, to_go: CostToGo, stuck: Sequence[Tracked] = ()
+    ) -> None:
+        self._setting, self._to_go = setting, to_go
+        self._blocked = [place_of(to_go.places, setting.space, one.x, one.y) for one in stuck]
+        self._penalties = np.ones(1)
+        self.found = 0
+        """How many there are so far."""
+        self.open = True
+        """Whether there may be a further one."""
+        self.looked = 0
+        """States expanded by the last search."""
+
+    def following(self, budget: Budget, most: int) -> Segments | None:
+        """Return motions along the next way, if so many states show one that can be tracked."""
+        setting, places, reach = self._setting, self._to_go.places, self._setting.reach
+        if self._blocked:
+            at = np.array(self._blocked)
+            self._penalties = penalised(self._penalties, places, at, reach, ROUTES.blocked)
+        found = cheapest_route(self._to_go, setting, self._penalties, most, False)
+        self.looked = found.looked
+        budget.spend(UNITS.state * found.looked)
+        if len(found.chain) == 0:
+            self.open = most <= found.looked < ROUTES.states
+            return None
+        tracked = track_route(setting, self._to_go, budget, found.chain)
+        if tracked.motions is not None:
+            self.found += 1
+            self.open = self.found < ROUTES.most
+            homes = places.home[found.chain]
+            self._penalties = penalised(self._penalties, places, homes, reach, ROUTES.again)
+        elif self.found:
+            self.open = False
+        else:
+            self._blocked.append(place_of(places, setting.space, tracked.x, tracked.y))
+        return tracked.motions
+
+
 def cheapest_routes(
     setting: KernelProblem, to_go: CostToGo, budget: Budget, stuck: Sequence[Tracked] = ()
 ) -> list[Segments]:
     """Return motions along the cheapest ways; each avoids the former and where one was stuck."""
     ways: list[Segments] = []
-    places, reach, penalties = to_go.places, setting.reach, np.ones(1)
-    blocked = [place_of(places, setting.space, one.x, one.y) for one in stuck]
+    routes = Routes(setting, to_go, stuck)
     for _ in range(ROUTES.most):
         most = int(min(SHARES.stage * budget.left / UNITS.state, ROUTES.states))
-        if most < 1:
+        if most < 1 or not routes.open:
             break
-        if blocked:
-            penalties = penalised(penalties, places, np.array(blocked), reach, ROUTES.blocked)
-        found = cheapest_route(to_go, setting, penalties, most, False)
-        budget.spend(UNITS.state * found.looked)
-        if len(found.chain) == 0:
-            break
-        tracked = track_route(setting, to_go, budget, found.chain)
-        if tracked.motions is not None:
-            ways.append(tracked.motions)
-            homes = places.home[found.chain]
-            penalties = penalised(penalties, places, homes, reach, ROUTES.again)
-        elif ways:
-            break
-        else:
-            blocked.append(place_of(places, setting.space, tracked.x, tracked.y))
-        if UNITS.state * found.looked > SHARES.aside * budget.left:
+        way = routes.following(budget, most)
+        ways += [] if way is None else [way]
+        if routes.looked == most or UNITS.state * routes.looked > SHARES.aside * budget.left:
             break
     return ways
 
 
-def straight_routes(setting: KernelProblem, to_go: CostToGo, budget: Budget) -> list[Segments]:
-    """Return motions along ways of long straight steps, the later ones with fewer turns."""
-    ways: list[Segments] = []
-    known: list[Ints] = []
-    for turns in ROUTES.turns:
-        found = straight_route(to_go, setting, turns, int(budget.left / UNITS.step))
-        budget.spend(UNITS.step * found.looked)
-        if len(found.chain) == 0 or any(np.array_equal(found.chain, one) for one in known):
-            break
+def straight_way(
+    setting: KernelProblem, to_go: CostToGo, turns: float, known: list[Ints], budget: Budget
+) -> Segments | None:
+    """Return motions along a new way of long straight steps, turns priced `turns` times."""
+    found = straight_route(to_go, setting, turns, int(budget.left / UNITS.step))
+    budget.spend(UNITS.step * found.looked)
+    if len(found.chain) == 0 or any(np.array_equal(found.chain, one) for one in known):
+        return None
+    way = track_route(setting, to_go, budget, found.chain).motions
+    if way is not None:
         known.append(found.chain)
-        tracked = track_route(setting, to_go, budget, found.chain)
-        ways += [] if tracked.motions is None else [tracked.motions]
-    return ways
+    return way
 
 
 class RoutePrices(NamedTuple):

@@ -8,6 +8,8 @@ driven, and the one that takes least is the answer.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from energyplan.errors import InfeasibleMotionError, InvalidInputError, PlanningError
@@ -17,6 +19,14 @@ from energyplan.planning.driven import DrivenPath, drive_plan, driven_share
 from energyplan.planning.settings import STOPS
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.motions import DIRECTIONS, KernelProblem
+
+
+class Weighed(NamedTuple):
+    """A path, and the objective's value of it."""
+
+    path: Path
+    driven: DrivenPath | None
+    value: float
 
 
 class Answer:
@@ -33,18 +43,24 @@ class Answer:
 
     def weigh(self, path: Path, budget: Budget) -> None:
         """Take a path where it is better than those before."""
-        key = _key(path)
-        if key in self._known:
-            return
-        self._known.add(key)
+        self.take(self.weighed(path, budget))
+
+    def weighed(self, path: Path, budget: Budget) -> Weighed | None:
+        """Return a path with its value, if it may be better than those before."""
+        if _key(path) in self._known:
+            return None
         if not self.drives:
-            value, drive = self._query.value(path), None
-        elif self._certainly_more(path) or (drive := self._drive(path, budget)) is None:
-            return
-        else:
-            value = self._query.driven_value(path, drive)
-        if self.path is None or value < self.value:
-            self.path, self.driven, self.value = path, drive, value
+            return Weighed(path, None, self._query.value(path))
+        if self._certainly_more(path) or (drive := self._drive(path, budget)) is None:
+            return Weighed(path, None, np.inf)
+        return Weighed(path, drive, self._query.driven_value(path, drive))
+
+    def take(self, found: Weighed | None) -> None:
+        """Take a path that was weighed where it is better than those before."""
+        if found is not None:
+            self._known.add(_key(found.path))
+            if found.value < self.value:
+                self.path, self.driven, self.value = found
 
     def best(self) -> Path:
         """Return the path."""

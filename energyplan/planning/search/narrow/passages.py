@@ -8,12 +8,9 @@ passage is penalised, and the next cheapest route is tracked.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
 
-from energyplan.planning.budget import UNITS, Budget, Work
+from energyplan.planning.budget import UNITS, Budget
 from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.tracking import track_route
 from energyplan.planning.settings import NARROW
@@ -27,16 +24,9 @@ from energyplan.planning.space.cost_to_go import (
 from energyplan.planning.space.motions import KernelProblem
 
 
-def passage_work(
-    setting: KernelProblem,
-    known: CostToGo,
-    units: float,
-    enter: Callable[[list[Segments]], object],
-) -> list[Work]:
-    """Return the search for shorter paths through narrow passages, where it may pay."""
-    if units < max(NARROW.least, NARROW.costs_to_go * known.work / UNITS.nodes):
-        return []
-    return [Work(partial(paths_through_passages, setting, known), units, enter)]
+def units_for_passages(known: CostToGo) -> float:
+    """Return the units of work below which no narrow passage is searched for."""
+    return max(NARROW.least, NARROW.costs_to_go * known.work / UNITS.nodes)
 
 
 def paths_through_passages(
