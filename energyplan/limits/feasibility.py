@@ -465,7 +465,8 @@ class LimitedDrive:
             return
         path, icr = self.drive.trajectory, self.drive.ground.model.vehicle.icr
         part = slice(int(pieces.interval[0]), int(pieces.interval[-1]) + 2)
-        step = np.diff(path.t[part])
+        # late times are rounded more: a short step may have been as much longer
+        step = np.diff(path.t[part]) + np.spacing(path.t[part][1:])
         t = path.t[0] + (path.t[part] - path.t[0]) / scale
         v, omega = path.v[part], path.omega[part]
         for side, speed in (("left", v - icr.left * omega), ("right", v + icr.right * omega)):

@@ -204,6 +204,17 @@ def test_acceleration_is_that_between_samples():
     assert report.max_speed_scale == pytest.approx(np.sqrt(0.8), rel=1e-9)
 
 
+@pytest.mark.parametrize("begin", [0.0, 129.3, 3600.1, 86400.7])
+def test_rounded_times_are_no_acceleration_beyond_the_limit(begin):
+    """Steps of a hundredth of a millisecond late in a drive keep the limit, larger speeds do not."""
+    t = begin + np.concatenate([[0.0], 1.0 + 1e-5 * np.arange(40), [3.0]])
+    speed = np.where(np.arange(42) % 2 == 0, 3e-5, 0.0)
+    speed[[0, -2, -1]] = 0.0
+    for factor, feasible in ((1.0, True), (1.001, False)):
+        report = check(drive(t, factor * speed, 0.0), PAPER, limited(acceleration=3.0))
+        assert report.feasible is feasible
+
+
 def test_constant_power_heats_the_motor_until_the_window_is_full():
     path = drive(np.linspace(0, 40, 4001), 1.0, 0.0)
     power = float(PAPER.coefficient("traction_resistance"))
