@@ -197,15 +197,15 @@ class BatteryOptions:
     @property
     def pack(self) -> Pack | None:
         """The battery and its charge, where one is given; its notes are said."""
-        from energyplan.cli.answers import warn
-        from energyplan.io.mission import read_battery  # with all of missions
-
         if self.battery is None:
             if self.soc is not None:
                 raise InvalidInputError(
                     "--soc is the charge of a battery; give --battery, or leave it out"
                 )
             return None
+        from energyplan.cli.answers import warn
+        from energyplan.io.mission import read_battery  # with all of missions
+
         charge = 1.0 if self.soc is None else fraction("--soc", self.soc)
         pack = read_battery(self.battery)
         for note in pack.notes:

@@ -333,7 +333,7 @@ function add({ name, pose, path = [], goals = [], dwell, power, window: [first, 
   row.append(element("td", `${number} ${name}`));
   const minutes = (seconds) => seconds == null ? "" : round(seconds / 60);
   Object.assign(task, {
-    name, number, raw, row, dwell: input("minutes_of", minutes(dwell)), power: input("watts_of", round(power)),
+    name, number, raw, row, dwell: input("minutes_of", path.length ? "" : minutes(dwell)), power: input("watts_of", round(power)),
     first: input("earliest_of", first ? minutes(first) : ""), last: input("latest_of", minutes(last)),
     required: input("required_of", required, "checkbox"),
   });
