@@ -206,7 +206,7 @@ def test_acceleration_is_that_between_samples():
 
 @pytest.mark.parametrize("begin", [0.0, 129.3, 3600.1, 86400.7])
 def test_rounded_times_are_no_acceleration_beyond_the_limit(begin):
-    """Steps of a hundredth of a millisecond late in a drive keep the limit, larger speeds do not."""
+    """Steps of a hundredth of a millisecond late in a drive keep it; larger speeds do not."""
     t = begin + np.concatenate([[0.0], 1.0 + 1e-5 * np.arange(40), [3.0]])
     speed = np.where(np.arange(42) % 2 == 0, 3e-5, 0.0)
     speed[[0, -2, -1]] = 0.0
