@@ -14,7 +14,8 @@ from energyplan.path import Path
 from energyplan.planning import Plan, Planner, PlanningProblem, plan
 from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import SHARES, Budget, do_together, plan_budget
-from energyplan.planning.plans import STEADY, Candidate, Spent, priced_plan, spending
+from energyplan.planning.driven import Candidate
+from energyplan.planning.plans import STEADY, Spent, priced_plan, spending
 from energyplan.planning.space.compiled import compiled
 from energyplan.records import checked
 

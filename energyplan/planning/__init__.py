@@ -1,10 +1,10 @@
 """Planners: one `PlanningProblem` in, one `Plan` out."""
 
 from energyplan.planning.budget import Budget, cancellable
+from energyplan.planning.driven import Candidate
 from energyplan.planning.goal import Goal
 from energyplan.planning.plans import (
     PLANNERS,
-    Candidate,
     Plan,
     Planner,
     find,

@@ -1,4 +1,4 @@
-"""Plans, and what driving a path takes: the path timed within the limits, and all of its energy.
+"""What planners return, and what driving it takes: a path in time within the limits, its energy.
 
 A plan prices its path at steady speeds: geometry. Driving it means starting and stopping, time in
 which computers draw power, braking whose energy does not all come back, and speeds below the one
@@ -47,6 +47,35 @@ class DrivenPath:
     def duration(self) -> float:
         """Time that driving takes [s]."""
         return self.trajectory.duration
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a planner returns: a path, with a lower bound if it has one.
+
+    Parameters
+    ----------
+    path : Path
+        The path, from the problem's start to its goal.
+    lower_bound : float, optional
+        What no path costs less than, in the unit of the objective; the library computes one where
+        it is left out.
+    first_time : float, optional
+        `Budget.elapsed` when a first path was known [s]; the end where left out.
+    shortest : Path, optional
+        The shortest path found on the way; for the least energy it costs no less than `path`.
+    driven : DrivenPath, optional
+        What driving the path takes, from the planners of the library; it is computed for others.
+    open : bool
+        Whether the effort ended what might gain yet.
+    """
+
+    path: Path
+    lower_bound: float | None = None
+    first_time: float | None = None
+    shortest: Path | None = None
+    driven: DrivenPath | None = None
+    open: bool = False
 
 
 def drive_path(

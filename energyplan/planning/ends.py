@@ -20,7 +20,7 @@ import numpy as np
 from energyplan.errors import NoPathError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
-from energyplan.planning.plans import Candidate
+from energyplan.planning.driven import Candidate
 from energyplan.planning.problem import KEPT, LEAVING, PlanningProblem, free_beside
 from energyplan.planning.search.narrow.ends import Ends, ways_out
 from energyplan.planning.search.optimise import Refiner

@@ -24,7 +24,7 @@ from energyplan.compilation import njit
 from energyplan.errors import TimeLimitError, UnknownNameError
 from energyplan.path import ROUNDING, Pose
 from energyplan.planning.budget import UNLIMITED, Budget
-from energyplan.planning.plans import Candidate
+from energyplan.planning.driven import Candidate
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.search.narrow.infeasible import check_configurations
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled

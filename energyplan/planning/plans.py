@@ -39,7 +39,7 @@ from energyplan.errors import (
 from energyplan.limits.drive import drawn
 from energyplan.path import ROUNDING, FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.budget import SHARES, Budget, plan_budget
-from energyplan.planning.driven import DrivenPath, drive_plan, driven_bound
+from energyplan.planning.driven import Candidate, DrivenPath, drive_plan, driven_bound
 from energyplan.planning.problem import OBJECTIVES, PlanningProblem
 from energyplan.planning.settings import STAGES
 from energyplan.planning.space.compiled import CompiledProblem, compiled
@@ -49,35 +49,6 @@ from energyplan.records import check_fields, checked
 if TYPE_CHECKING:
     from energyplan.battery import BatteryModel, BatteryRun
     from energyplan.planning.ends import CheckedEnds
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """What a planner returns: a path, with a lower bound if it has one.
-
-    Parameters
-    ----------
-    path : Path
-        The path, from the problem's start to its goal.
-    lower_bound : float, optional
-        What no path costs less than, in the unit of the objective; the library computes one where
-        it is left out.
-    first_time : float, optional
-        `Budget.elapsed` when a first path was known [s]; the end where left out.
-    shortest : Path, optional
-        The shortest path found on the way; for the least energy it costs no less than `path`.
-    driven : DrivenPath, optional
-        What driving the path takes, from the planners of the library; it is computed for others.
-    open : bool
-        Whether the effort ended what might gain yet.
-    """
-
-    path: Path
-    lower_bound: float | None = None
-    first_time: float | None = None
-    shortest: Path | None = None
-    driven: DrivenPath | None = None
-    open: bool = False
 
 
 @dataclass(frozen=True)

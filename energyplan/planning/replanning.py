@@ -23,8 +23,9 @@ from energyplan import steering
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.path import Path, Pose, as_pose, wrap_angle
 from energyplan.planning.budget import Budget, plan_budget
+from energyplan.planning.driven import Candidate
 from energyplan.planning.ends import between_clear_ends, checked_ends
-from energyplan.planning.plans import Candidate, Plan, plan, priced_plan
+from energyplan.planning.plans import Plan, plan, priced_plan
 from energyplan.planning.problem import KEPT, PlanningProblem, missed
 from energyplan.planning.search import planner as lattice
 from energyplan.planning.search.planner import compile_planning

@@ -25,9 +25,10 @@ from energyplan.errors import (
 from energyplan.path import FloatArray, Path, Pose, wrap_angle
 from energyplan.planning.bound.goals import least_to_goal
 from energyplan.planning.budget import SHARES, UNITS, Budget
+from energyplan.planning.driven import Candidate
 from energyplan.planning.ends import CheckedEnds, checked_ends
 from energyplan.planning.goal import Goal
-from energyplan.planning.plans import Candidate, Plan, priced_plan
+from energyplan.planning.plans import Plan, priced_plan
 from energyplan.planning.problem import PlanningProblem, where_free
 from energyplan.planning.search.lattice import joined
 from energyplan.planning.search.routes import cheapest_route, penalised

@@ -14,7 +14,8 @@ from energyplan.errors import InvalidInputError
 from energyplan.path import Path, Pose
 from energyplan.planning import PlanningProblem, plan
 from energyplan.planning.budget import Budget
-from energyplan.planning.plans import Candidate, priced_plan
+from energyplan.planning.driven import Candidate
+from energyplan.planning.plans import priced_plan
 from energyplan.planning.space.compiled import CompiledProblem
 from energyplan.planning.space.motions import motion_cost
 from energyplan.planning.space.prices import TIE_BREAK, Prices

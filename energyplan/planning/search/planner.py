@@ -39,8 +39,7 @@ from energyplan.errors import InvalidInputError, PlanningError
 from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding, prepare_bound
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
-from energyplan.planning.driven import DrivenPath, stops_count
-from energyplan.planning.plans import Candidate
+from energyplan.planning.driven import Candidate, DrivenPath, stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.first import Paths, between_ends, find_first
 from energyplan.planning.search.lattice import Search, lattice_for
