@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from energyplan.errors import NoPathError
+from energyplan.errors import InvalidPathError, NoPathError
 from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.driven import Candidate
@@ -88,7 +88,10 @@ class Between(NamedTuple):
             path = whole
         free = [one for one in known if problem.fault(one) is None]
         # other paths that were found begin and end elsewhere
-        return Candidate(min([path, *free], key=self.ways.query.value), first_time=found.first_time)
+        best = min([path, *free], key=self.ways.query.value)
+        if fault := problem.fault(best):
+            raise InvalidPathError(f"with its ways from the start and to the goal this is {fault}")
+        return Candidate(best, first_time=found.first_time)
 
 
 def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:

@@ -714,8 +714,6 @@ def _planned(
         return found if declared in PLANNERS.values() else replace(found, driven=None)
 
     found = between.solved(problem, given, solve, options.get("initial", ()))
-    if fault := problem.fault(found.path):
-        raise InvalidPathError(f"with its ways in and out, the path is {fault}")
     query = compiled(ends.bare)
     bound = found.lower_bound
     if bound is None:

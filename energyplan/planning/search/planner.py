@@ -171,7 +171,7 @@ class _Stages:
         for name in sorted(self.lanes, key=turn):
             if found and turn(name) > self.done:
                 break
-            work = next(self.lanes[name])
+            work = next(self.lanes[name], None)
             if work is not None:
                 found.append((name, self._measured(name, work)))
             if len(found) == 2:
@@ -310,8 +310,6 @@ class _Stages:
             yield None if self.closed else Work(run, 2.0 * units, enter)
             if not self.closed and routes.found == found:
                 units *= 2.0
-        while True:
-            yield None
 
     def _straight(self) -> Iterator[Work | None]:
         """Yield searches for routes of long straight steps."""
@@ -331,8 +329,6 @@ class _Stages:
                 yield Work(run, units, enter)
                 if self.cut["straight"]:
                     units *= 2.0
-        while True:
-            yield None
 
     def _comparing(self) -> Iterator[Work | None]:
         """Yield parts of a search of a coarse lattice along the map's axes, for open routes."""
@@ -357,8 +353,6 @@ class _Stages:
                 continue
             limit = LATTICE.hope * paths.cost
             yield Work(partial(search.cheapest, limit=limit), STAGES.compared.units, enter)
-        while True:
-            yield None
 
     def _bounding(self) -> Iterator[Work | None]:
         """Yield searches for a better lower bound."""
@@ -381,8 +375,6 @@ class _Stages:
             run = partial(paths_through_passages, paths.setting, known)
             yield Work(run, units, paths.enter_between)
             units *= 2.0
-        while True:
-            yield None
 
     def _shortening(self) -> Iterator[Work | None]:
         """Yield steps that make the shortest of the paths found shorter."""
@@ -404,8 +396,6 @@ class _Stages:
             drive = UNITS.drive if self.answer.drives else 0.0
             yield Work(partial(self._shorten, short), units + drive, take)
             units *= 2.0
-        while True:
-            yield None
 
     def _shorten(self, short: Portfolio, own: Budget, enough: float = 0.0) -> _Shortened:
         """Shorten the shortest of the paths found, until its cost is `enough`."""
@@ -448,8 +438,6 @@ class _Stages:
                 UNITS.drive,
                 self.answer.take,
             )
-        while True:
-            yield None
 
     def _weighing(self, refiner: Refiner, most: int = 0) -> Callable[[Budget], Weighed | None]:
         """Return the work of driving a path, after refining it."""
