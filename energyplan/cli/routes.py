@@ -341,7 +341,7 @@ def check(
     from energyplan.io.config import read_vehicle
     from energyplan.io.sites import of_another_robot, read_site
     from energyplan.io.tables import read_drive
-    from energyplan.limits.drive import Ground, Traversal, drawn
+    from energyplan.limits.drive import Ground, Traversal
     from energyplan.limits.feasibility import check as test
     from energyplan.output import documents, text
     from energyplan.path import Trajectory
@@ -369,8 +369,7 @@ def check(
     report = test(found, law, limits, surfaces=ground, heights=hills)
     run = None
     if pack is not None:
-        energies = Traversal(found, Ground(law, ground, hills)).interval_energies()
-        run = drawn(pack.battery, found.t, energies, pack.soc)
+        run = Traversal(found, Ground(law, ground, hills)).drawn(*pack)
     document = {**documents.feasibility(report, run), "out_duration": None}
     lines = [*str(report).splitlines(), *text.battery(run)]
     share = 1.0 if report.feasible else report.max_speed_scale

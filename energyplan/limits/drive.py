@@ -13,18 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from energyplan.battery import BatteryModel, BatteryRun
 from energyplan.errors import InvalidInputError
 from energyplan.limits.motor_kernels import cut_intervals, piece_nodes
 from energyplan.motion import Motion
 from energyplan.path import FloatArray, Trajectory, point_ahead
 from energyplan.power import PowerModel
 from energyplan.terrain import HeightMap, SurfaceMap
+
+if TYPE_CHECKING:
+    from energyplan.battery import BatteryModel, BatteryRun
 
 BLOCK = 8192  # intervals per block: what is evaluated at once stays in the processor's cache
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0  # weights of the nodes of a subinterval
@@ -354,6 +356,10 @@ class Traversal:
             for name, power in models[part.region].breakdown(part.motion).items():
                 total[name] = total.get(name, 0.0) + float((part.weight * power).sum())
         return total
+
+    def drawn(self, battery: BatteryModel, soc: float = 1.0) -> BatteryRun:
+        """Run a battery through the drive."""
+        return drawn(battery, self.trajectory.t, self.interval_energies(), soc)
 
 
 def drawn(

@@ -59,7 +59,7 @@ from energyplan.io.sites import (
 from energyplan.io.start import Start
 from energyplan.io.start import start as start_of
 from energyplan.io.tables import contours_document
-from energyplan.limits.drive import Ground, Traversal, drawn
+from energyplan.limits.drive import Ground, Traversal
 from energyplan.limits.feasibility import check
 from energyplan.logs import DriveLog
 from energyplan.mission import Mission, MissionReport, Routes, evaluate
@@ -385,8 +385,7 @@ def _routes(service: _Service) -> APIRouter:
         drive, law, run = Trajectory(**columns), model, None
         if pack is not None:
             law, notes = model.battery_side(), (*notes, *pack.notes)
-            energies = Traversal(drive, Ground(law)).interval_energies()
-            run = drawn(pack, drive.t, energies, given.soc)
+            run = Traversal(drive, Ground(law)).drawn(pack, given.soc)
         return _whole(documents.feasibility(check(drive, law), run), notes, model)
 
     routed = partial(planned, plan, documents.plan, lambda found: (found,))
