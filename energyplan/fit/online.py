@@ -9,7 +9,16 @@ from math import fsum
 import numpy as np
 from scipy.stats import chi2
 
-from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTable, inner, njit
+from energyplan.compilation import (
+    AnyTable,
+    Column,
+    FloatBlock,
+    Floats,
+    FloatTable,
+    inner,
+    lean,
+    njit,
+)
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit.doubts import energy_error, is_linear, linearise
 from energyplan.fit.drive import Drive
@@ -96,7 +105,7 @@ def inverse(matrix: FloatTable, result: FloatTable) -> None:
                     result[k, j] -= factor * result[i, j]
 
 
-@inner
+@lean
 def _form(left: Column, matrix: FloatTable, right: Column) -> float:
     """Bilinear form ``left' matrix right``."""
     total = 0.0
@@ -151,7 +160,7 @@ def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: F
         scalars[MATERIAL] = np.sqrt(change / max(energy, 1e-300))
 
 
-@inner
+@lean
 def _learn_noise(
     z: float, square: float, uncertainty: float, dt: float, scalars: Floats, settings: Floats
 ) -> None:
@@ -177,6 +186,16 @@ def _learn_noise(
         scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
 
 
+@lean
+def _total(residual: float, power: float, dt: float, scalars: Floats) -> None:
+    """Add a sample to the sums since the last change."""
+    scalars[TOTAL_TIME] += dt
+    scalars[TOTAL_SQUARES] += residual * residual * dt
+    scalars[TOTAL_ABSOLUTE] += abs(residual) * dt
+    scalars[TOTAL_RESIDUAL] += residual * dt
+    scalars[TOTAL_MEASURED] += power * dt
+
+
 @njit
 def advance(
     phi: Column,
@@ -195,11 +214,7 @@ def advance(
     for i in range(p):
         residual -= phi[i] * c[i]
         excitation += phi[i] * phi[i]
-    scalars[TOTAL_TIME] += dt
-    scalars[TOTAL_SQUARES] += residual * residual * dt
-    scalars[TOTAL_ABSOLUTE] += abs(residual) * dt
-    scalars[TOTAL_RESIDUAL] += residual * dt
-    scalars[TOTAL_MEASURED] += power * dt
+    _total(residual, power, dt, scalars)
     # Old information fades into the prior's, so that it never fades to nothing.
     keep = np.exp(-dt / settings[MEMORY])
     for i in range(p):
