@@ -9,16 +9,7 @@ from math import fsum
 import numpy as np
 from scipy.stats import chi2
 
-from energyplan.compilation import (
-    AnyTable,
-    Column,
-    FloatBlock,
-    Floats,
-    FloatTable,
-    inner,
-    lean,
-    njit,
-)
+from energyplan.compilation import AnyTable, Column, FloatBlock, Floats, FloatTable, inner, njit
 from energyplan.errors import InvalidInputError, MissingChannelError
 from energyplan.fit.doubts import energy_error, is_linear, linearise
 from energyplan.fit.drive import Drive
@@ -105,7 +96,7 @@ def inverse(matrix: FloatTable, result: FloatTable) -> None:
                     result[k, j] -= factor * result[i, j]
 
 
-@lean
+@inner
 def _form(left: Column, matrix: FloatTable, right: Column) -> float:
     """Bilinear form ``left' matrix right``."""
     total = 0.0
@@ -160,7 +151,7 @@ def look(matrices: FloatBlock, vectors: FloatTable, ring: FloatTable, scalars: F
         scalars[MATERIAL] = np.sqrt(change / max(energy, 1e-300))
 
 
-@lean
+@inner
 def _learn_noise(
     z: float, square: float, uncertainty: float, dt: float, scalars: Floats, settings: Floats
 ) -> None:
@@ -186,7 +177,7 @@ def _learn_noise(
         scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
 
 
-@lean
+@inner
 def _total(residual: float, power: float, dt: float, scalars: Floats) -> None:
     """Add a sample to the sums since the last change."""
     scalars[TOTAL_TIME] += dt
