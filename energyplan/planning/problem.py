@@ -205,18 +205,20 @@ class PlanningProblem:
         known = (0.0,) if self.surfaces is None else self.surfaces.radii
         return tuple(max(self.least_radius, radius) for radius in known)
 
-    def tightest(self, path: Path) -> int | None:
-        """Return the first segment of a path that turns more tightly than is allowed, or None."""
+    def too_tight(self, path: Path) -> tuple[int, float] | None:
+        """Return the first segment that turns too tightly, and the least radius there [m]."""
         tight = self._tighter(path, self.least_radius)
-        if max(self.radii) > self.least_radius and not tight.any():
-            for k in np.flatnonzero(self._tighter(path, max(self.radii))):
-                start = Pose(*path.vertices[k].tolist())
-                one = Path(start, path.ds[k : k + 1], path.dtheta[k : k + 1], path.longitudinal)
-                fine = one.subdivide(0.5 * self.map.resolution, _TURN)
-                points = 0.5 * (fine.points[1:] + fine.points[:-1])
-                radius = np.array(self.radii)[self.terrain.region_at(points)]
-                tight[k] = self._tighter(fine, radius).any()
-        return int(np.argmax(tight)) if tight.any() else None
+        if tight.any() or max(self.radii) == self.least_radius:
+            return (int(np.argmax(tight)), self.least_radius) if tight.any() else None
+        for k in np.flatnonzero(self._tighter(path, max(self.radii))):
+            start = Pose(*path.vertices[k].tolist())
+            one = Path(start, path.ds[k : k + 1], path.dtheta[k : k + 1], path.longitudinal)
+            fine = one.subdivide(0.5 * self.map.resolution, _TURN)
+            points = 0.5 * (fine.points[1:] + fine.points[:-1])
+            radius = np.array(self.radii)[self.terrain.region_at(points)]
+            if (tight := self._tighter(fine, radius)).any():
+                return int(k), float(radius[tight].max())
+        return None
 
     def _tighter(self, path: Path, radius: float | FloatArray) -> NDArray[np.bool_]:
         """Return which segments turn more tightly than on a radius."""
@@ -308,11 +310,8 @@ class PlanningProblem:
             elsewhere = elsewhere or missed("ends", path.end, self.goal)
         if elsewhere:
             return f"a path that {elsewhere}"
-        if (segment := self.tightest(path)) is not None:
-            return (
-                f"a path whose segment {segment} turns on an arc of less than "
-                f"{self.least_radius:.3g} m"
-            )
+        if (tight := self.too_tight(path)) is not None:
+            return f"a path whose segment {tight[0]} turns on an arc of less than {tight[1]:.3g} m"
         if (segment := self.reversing(path)) is not None:
             return f"a path whose segment {segment} drives backwards, which the vehicle may not"
         if (segment := self.first_collision(path, share)) is None:
