@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from energyplan.errors import EnergyPlanError, MissionError
 from energyplan.mission.headings import with_poses
