@@ -173,7 +173,11 @@ def as_goals(value: Any, heading: str = "", radius: float = 0.0) -> tuple[Goal, 
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
         texts = [one for one in value if isinstance(one, str)]
         pose = len(texts) == len(value) in (2, 3) and not any("," in text for text in texts)
-        if not pose and all(isinstance(one, Goal | str | Mapping) or np.ndim(one) for one in value):
+        if (
+            len(value)
+            and not pose
+            and all(isinstance(one, Goal | str | Mapping) or np.ndim(one) for one in value)
+        ):
             return tuple(goal for one in value for goal in as_goals(one, heading, radius))
     if isinstance(value, Goal):
         return (value,)
@@ -204,6 +208,8 @@ def _goal_at(value: Any, heading: str, radius: float) -> Goal:
         )
     if count == 2:
         if heading not in ("", "any"):
+            if heading != "either":
+                Goal(0.0, 0.0, 0.0, heading)  # which says what a heading may be
             raise InvalidInputError(
                 f"goal {described(value)} has no yaw, and its heading is to be {heading}; write "
                 "X,Y,YAW, or give the heading any"

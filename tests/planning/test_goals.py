@@ -104,6 +104,10 @@ def test_one_of_several_that_cannot_be_reached_is_left_out():
     inside = (4.15, 2.0, 0.0)
     found = ep.plan(problem([inside, (6, 3)], True), effort=10_000)
     assert found.goal_reached[:2] == pytest.approx((6, 3), abs=1e-6)
+    (note,) = (note for note in found.notes if "left out" in note)
+    assert "at every pose of the goal (4.15, 2, 0.0 deg); the nearest free pose" in note
+    outside = ep.plan(problem([(99, 2, 0.0), (6, 3)], True), effort=2000)
+    assert "left out: the goal (99, 2, 0.0 deg) lies outside the map" in outside.notes[0]
     with pytest.raises(GoalInCollisionError, match="at every pose of the goal"):
         ep.plan(problem([(4.15, 2.0), (4.15, 1.0, 0.0)], True), effort=10_000)
 
@@ -272,6 +276,7 @@ def test_goals_are_read_in_one_way():
         (ep.Goal, "goal is"),
         ({"x": 6}, "x, y, yaw, heading and radius"),
         ([], "goal is"),
+        ([(6, 3), []], "goal is"),
     ],
 )
 def test_what_is_no_goal_is_refused(goal, match):
