@@ -205,28 +205,35 @@ class PlanningProblem:
         known = (0.0,) if self.surfaces is None else self.surfaces.radii
         return tuple(max(self.least_radius, radius) for radius in known)
 
-    def tightest(self, path: Path) -> int | None:
-        """Return the first segment of a path that turns more tightly than is allowed, or None."""
-        tight = self._tighter(path, self.least_radius)
-        if max(self.radii) > self.least_radius and not tight.any():
-            for k in np.flatnonzero(self._tighter(path, max(self.radii))):
+    def forbidden(self, path: Path) -> str | None:
+        """Say which segment of a path robot and ground do not allow, whatever lies in its way."""
+        for radius in sorted({*self.radii}):
+            tight = self._too_tight(path, radius)
+            if tight.any():
+                at = np.argmax(tight)
+                return f"whose segment {at} turns on an arc of less than {radius:.3g} m"
+        back = self._ahead(path) < -PLACE
+        if back.any() and not self.robot.reverse:
+            return f"whose segment {np.argmax(back)} drives backwards, which the vehicle may not"
+        return None
+
+    def _too_tight(self, path: Path, radius: float) -> NDArray[np.bool_]:
+        """Return which segments turn on less than a radius, on ground that asks for as much."""
+        tight = self._tighter(path, radius)
+        if radius > min(self.radii):
+            for k in np.flatnonzero(tight):
                 start = Pose(*path.vertices[k].tolist())
                 one = Path(start, path.ds[k : k + 1], path.dtheta[k : k + 1], path.longitudinal)
                 fine = one.subdivide(0.5 * self.map.resolution, _TURN)
                 points = 0.5 * (fine.points[1:] + fine.points[:-1])
-                radius = np.array(self.radii)[self.terrain.region_at(points)]
-                tight[k] = self._tighter(fine, radius).any()
-        return int(np.argmax(tight)) if tight.any() else None
+                there = np.array(self.radii)[self.terrain.region_at(points)] >= radius
+                tight[k] = (self._tighter(fine, radius) & there).any()
+        return tight
 
-    def _tighter(self, path: Path, radius: float | FloatArray) -> NDArray[np.bool_]:
+    def _tighter(self, path: Path, radius: float) -> NDArray[np.bool_]:
         """Return which segments turn more tightly than on a radius."""
         ahead = np.abs(self._ahead(path))
         return np.asarray(ahead < radius * (1.0 - TIGHTER) * np.abs(path.dtheta) - PLACE)
-
-    def reversing(self, path: Path) -> int | None:
-        """Return the first segment that drives backwards where the vehicle may not, or None."""
-        back = self._ahead(path) < -PLACE
-        return int(np.argmax(back)) if back.any() and not self.robot.reverse else None
 
     def _ahead(self, path: Path) -> FloatArray:
         """Return how far the point midway between the tread ICRs drives ahead in each segment."""
@@ -308,13 +315,8 @@ class PlanningProblem:
             elsewhere = elsewhere or missed("ends", path.end, self.goal)
         if elsewhere:
             return f"a path that {elsewhere}"
-        if (segment := self.tightest(path)) is not None:
-            return (
-                f"a path whose segment {segment} turns on an arc of less than "
-                f"{self.least_radius:.3g} m"
-            )
-        if (segment := self.reversing(path)) is not None:
-            return f"a path whose segment {segment} drives backwards, which the vehicle may not"
+        if forbidden := self.forbidden(path):
+            return f"a path {forbidden}"
         if (segment := self.first_collision(path, share)) is None:
             return self._grazing(path)
         at = path.vertices[min(segment, len(path.vertices) - 1)]

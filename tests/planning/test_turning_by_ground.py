@@ -49,7 +49,8 @@ def test_arcs_on_the_ground_are_as_wide_as_it_says(goal):
 
 
 def test_a_path_that_turns_on_the_spot_is_refused_on_the_ground_alone():
-    for x, fault in ((2.0, None), (7.0, "turns")):
+    tight = "whose segment 0 turns on an arc of less than 0.9 m"
+    for x, fault in ((2.0, None), (7.0, tight)):
         spin = ep.Path((x, 6, 0), [0.0], [1.0])
         found = on_a_lawn(0.9, spin.start, spin.end).fault(spin)
         assert found is None if fault is None else fault in found

@@ -24,9 +24,9 @@ from energyplan.planning.space.motions import (
     KernelProblem,
     free_energy,
     join,
+    least_radius_at,
     motion_cost,
     permitted,
-    surface_at,
 )
 from energyplan.planning.space.queues import (
     Open,
@@ -38,7 +38,7 @@ from energyplan.planning.space.queues import (
     turning_by,
 )
 from energyplan.steering.kernels import MAX_SEGMENTS, arc_end
-from energyplan.terrain.collision import in_cells, motion_free
+from energyplan.terrain.collision import in_cells
 
 RUNNING, FOUND, EXHAUSTED, FULL = 0, 1, 2, 3  # why a slice of the search ended
 
@@ -160,9 +160,7 @@ def plant(
 
 
 @lean
-def _motion(
-    lattice: Lattice, half: float, room: float, radius: float, kind: int
-) -> tuple[float, int]:
+def _motion(lattice: Lattice, room: float, radius: float, kind: int) -> tuple[float, int]:
     """Return the length and the turn, in headings, of a motion; zero for one without room.
 
     They lead ahead and back, on pivots or arcs, on the spot, and across open ground in one stride.
@@ -173,7 +171,7 @@ def _motion(
     if kind >= 6:
         return 0.0, 1 if kind == 6 else -1
     if kind >= 2:
-        return sign * max(half, radius) * lattice.turn, 1 if kind < 4 else -1
+        return sign * radius * lattice.turn, 1 if kind < 4 else -1
     return sign * lattice.step, 0
 
 
@@ -182,7 +180,7 @@ def _relax(
     tree: Tree, setting: KernelProblem, to_go: CostToGo, lattice: Lattice, weight: float,
     limit: float, node: int, here: Pose, ds: float, step: int,
 ) -> None:  # fmt: skip
-    """Enter the node that a motion leads to, if it is free and no cheaper way there is known."""
+    """Enter the node that a motion leads to, if it is permitted and no cheaper way is known."""
     space = setting.space
     dtheta = step * lattice.turn
     heading = (int(tree.heading[node]) + step) % lattice.headings
@@ -204,7 +202,7 @@ def _relax(
         h = _estimate(setting, to_go, there)
     if g + h >= limit:
         return
-    if not motion_free(space, setting.body, here.x, here.y, here.yaw, ds, dtheta, 0.0):
+    if not permitted(setting, here, ds, dtheta):
         return
     # the old node stays as it is: its children's motions start from its own pose
     if other >= 0:
@@ -227,7 +225,6 @@ def grow(
 ) -> int:
     """Expand nodes until a motion to the goal is found, or so many were expanded."""
     space, counts, queue = setting.space, tree.counts, tree.queue
-    even = setting.surface.size == 1
     to_ds = np.empty(MAX_SEGMENTS)
     to_dtheta = np.empty(MAX_SEGMENTS)
     if counts[0] == 0:
@@ -262,13 +259,12 @@ def grow(
         at = in_cells(space, here.x, here.y)
         clearance = float(space.clearance[int(at.row), int(at.column)]) * space.resolution
         room = clearance - setting.reach
-        radius = setting.radii[0] if even else setting.radii[surface_at(setting, here)]
+        radius = max(setting.half_track, least_radius_at(setting, here))
         for kind in range(MOTIONS):
-            ds, step = _motion(lattice, setting.half_track, room, radius, kind)
+            ds, step = _motion(lattice, room, radius, kind)
             if ds == 0.0 and step == 0:
                 continue
-            if permitted(setting, here, ds, step * lattice.turn):
-                _relax(tree, setting, to_go, lattice, weight, limit, node, here, ds, step)
+            _relax(tree, setting, to_go, lattice, weight, limit, node, here, ds, step)
     return RUNNING
 
 

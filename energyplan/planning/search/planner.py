@@ -51,8 +51,8 @@ from energyplan.planning.search.stops import Answer, Weighed, with_expensive_tur
 from energyplan.planning.settings import LATTICE, REFINING, ROUTES, STAGES, STOPS, Lane
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled
 from energyplan.planning.space.cost_to_go import regions_for
+from energyplan.planning.space.motions import permitted
 from energyplan.records import checked
-from energyplan.terrain.collision import motion_free
 
 
 @checked()
@@ -336,8 +336,7 @@ class _Stages:
         lattice, start = lattice_for(setting, LATTICE.coarse), setting.start
         spin = -remainder(start.yaw - setting.space.yaw, lattice.turn)
         rotated = setting._replace(start=start._replace(yaw=start.yaw + spin))
-        free = motion_free(setting.space, setting.body, *start, 0.0, spin, 0.0)
-        if setting.widest > 0.0 or not free:
+        if not permitted(setting, start, 0.0, spin):
             spin, rotated = 0.0, setting
         search = Search(rotated, paths.to_go, lattice, 1.0)
 
@@ -567,7 +566,7 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
             if totals[i] >= best[j] * (1.0 - 1e-6):
                 break
             joined = steering.path(poses[i], poses[j], cost)
-            if problem.reversing(joined) is not None:
+            if problem.forbidden(joined):
                 continue
             if problem.terrain.obstacles.path_free(joined, problem.robot):
                 best[j] = totals[i]

@@ -137,7 +137,15 @@ def surface_at(setting: KernelProblem, pose: Pose) -> int:
 
 
 @lean
-def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> bool:
+def least_radius_at(setting: KernelProblem, pose: Pose) -> float:
+    """Least radius of arcs on the ground at a pose; zero where any turn is allowed."""
+    if setting.widest == setting.least_radius:
+        return setting.least_radius
+    return float(setting.radii[surface_at(setting, pose)])
+
+
+@lean
+def allowed(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> bool:
     """Return whether robot and ground allow a motion: its direction, and how tightly it turns."""
     if ds * setting.gear < -STILL:
         return False
@@ -145,7 +153,7 @@ def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> b
     if abs(ds) >= setting.widest * turn:
         return True
     if setting.widest == setting.least_radius:
-        return abs(ds) >= setting.least_radius * turn
+        return False
     furthest = max(abs(ds), abs(ds + setting.lateral * dtheta))
     pieces = max(ceil(max(2.0 * furthest / setting.space.resolution, abs(dtheta) / TURN)), 1)
     part_turn = dtheta / pieces
@@ -153,13 +161,21 @@ def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> b
     here = pose
     for _ in range(pieces):
         # at the ends of the parts too: the border of a surface may be touched between
-        if abs(ds) < setting.radii[surface_at(setting, here)] * turn:
+        if abs(ds) < least_radius_at(setting, here) * turn:
             return False
         middle = arc_end(here, 0.5 * part_ds, 0.5 * part_turn)
-        if abs(ds) < setting.radii[surface_at(setting, middle)] * turn:
+        if abs(ds) < least_radius_at(setting, middle) * turn:
             return False
         here = arc_end(here, part_ds, part_turn)
-    return bool(abs(ds) >= setting.radii[surface_at(setting, here)] * turn)
+    return bool(abs(ds) >= least_radius_at(setting, here) * turn)
+
+
+@lean
+def permitted(setting: KernelProblem, pose: Pose, ds: float, dtheta: float) -> bool:
+    """Return whether a motion may be driven: robot and ground allow it, and the body is free."""
+    return allowed(setting, pose, ds, dtheta) and bool(
+        motion_free(setting.space, setting.body, pose.x, pose.y, pose.yaw, ds, dtheta, 0.0)
+    )
 
 
 @lean
@@ -312,18 +328,14 @@ def motions_cost(
 def drive(
     setting: KernelProblem, pose: Pose, ds: Floats, dtheta: Floats, count: int, limit: float
 ) -> float:
-    """Cost of a sequence of motions from a pose; infinite if one collides or it reaches `limit`."""
-    # collisions after the costs, which are cheaper to find out
+    """Cost of motions from a pose; infinite if one is not permitted or it reaches `limit`."""
+    # what is permitted after the costs, which are cheaper to find out
     total = motions_cost(setting, pose, ds, dtheta, count, limit)
     if total == inf:
         return inf
     here = pose
     for k in range(count):
-        if setting.widest > setting.least_radius and not permitted(setting, here, ds[k], dtheta[k]):
-            return inf
-        if not motion_free(
-            setting.space, setting.body, here.x, here.y, here.yaw, ds[k], dtheta[k], 0.0
-        ):
+        if not permitted(setting, here, ds[k], dtheta[k]):
             return inf
         here = arc_end(here, ds[k], dtheta[k])
     return total
@@ -381,51 +393,60 @@ def price_of_stops(setting: KernelProblem, ds: Floats, dtheta: Floats, count: in
     return total
 
 
+@lean
+def _exact(setting: KernelProblem, pose: Pose, to: Pose, ds: Floats, dtheta: Floats) -> int:
+    """Write the exact motion from one pose to another, forwards if the robot does not reverse."""
+    dx = to.x - pose.x
+    dy = to.y - pose.y
+    count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+    if setting.gear == 0 or not backs_up(ds, count):
+        return count
+    if setting.least_radius > 0.0:
+        return arcs_forwards(pose, to, setting.steering, ds, dtheta)
+    return forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+
+
+@lean
+def _other_way(
+    setting: KernelProblem, pose: Pose, to: Pose, way: int, ds: Floats, dtheta: Floats
+) -> int:
+    """Write another motion to a pose: on the widest arcs, or turn-drive-turn; or return none."""
+    if way > 0:
+        spins = setting.least_radius == 0.0 and (way == 1 or setting.gear == 0)
+        return spin_drive_spin(pose, to, way == 2, ds, dtheta) if spins else 0
+    if setting.gear != 0 or setting.widest == setting.least_radius:
+        return 0
+    return steer_path(to.x - pose.x, to.y - pose.y, pose.yaw, to.yaw, setting.wide, ds, dtheta)
+
+
 @njit
 def join(
     setting: KernelProblem, pose: Pose, to: Pose, limit: float, ds: Floats, dtheta: Floats
 ) -> tuple[float, int]:
     """Join two poses by the cheapest free motion known, if it costs less than `limit`.
 
-    Tried are the exact minimum-energy motion, and turn-drive-turn both ways, which needs less
-    room at times. Where the robot does not reverse and the exact motion does, the exact one
-    forwards, or one of arcs, replaces it.
+    Tried are the exact minimum-energy motion, the same on the widest arcs that some ground asks
+    for, and turn-drive-turn both ways, which needs less room at times.
     """
-    dx = to.x - pose.x
-    dy = to.y - pose.y
     least = -inf
     if setting.surface.size == 1:
+        dx = to.x - pose.x
+        dy = to.y - pose.y
         least = steer_energy(dx, dy, pose.yaw, to.yaw, setting.steering)
         if least >= limit:
             return inf, 0
-    count = steer_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
-    if setting.gear != 0 and backs_up(ds, count):
-        if setting.least_radius > 0.0:
-            count = arcs_forwards(pose, to, setting.steering, ds, dtheta)
-        else:
-            count = forward_path(dx, dy, pose.yaw, to.yaw, setting.steering, ds, dtheta)
+    count = _exact(setting, pose, to, ds, dtheta)
     stops = price_of_stops(setting, ds, dtheta, count)
     cost = drive(setting, pose, ds, dtheta, count, limit - stops) + stops
     # what is found depends on the limit only in whether it costs less
     if cost <= least * (1.0 + 1e-9):
         return cost, count
-    if setting.widest > setting.least_radius and setting.gear == 0:
-        wide_ds = np.empty(MAX_SEGMENTS)
-        wide_dtheta = np.empty(MAX_SEGMENTS)
-        n = steer_path(dx, dy, pose.yaw, to.yaw, setting.wide, wide_ds, wide_dtheta)
-        stops = price_of_stops(setting, wide_ds, wide_dtheta, n)
-        other = drive(setting, pose, wide_ds, wide_dtheta, n, min(limit, cost) - stops) + stops
-        if other < cost:
-            cost = other
-            count = n
-            for k in range(n):
-                ds[k] = wide_ds[k]
-                dtheta[k] = wide_dtheta[k]
-    other_ds = np.empty(3)
-    other_dtheta = np.empty(3)
-    ways = 1 if setting.gear != 0 else 2
-    for way in range(ways if setting.least_radius == 0.0 else 0):
-        n = spin_drive_spin(pose, to, way == 1, other_ds, other_dtheta)
+    other_ds = np.empty(MAX_SEGMENTS)
+    other_dtheta = np.empty(MAX_SEGMENTS)
+    for way in range(3):
+        n = _other_way(setting, pose, to, way, other_ds, other_dtheta)
+        if n == 0:
+            continue
         stops = price_of_stops(setting, other_ds, other_dtheta, n)
         other = drive(setting, pose, other_ds, other_dtheta, n, min(limit, cost) - stops) + stops
         if other < cost:

@@ -28,7 +28,10 @@ from energyplan.planning.settings import ESCAPE
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.motions import (
     KernelProblem,
+    allowed,
+    least_radius_at,
     motion_cost,
+    permitted,
     pose_at,
     put_pose,
     steering_cost,
@@ -37,6 +40,7 @@ from energyplan.planning.space.queues import Open, no_open, pop, push, slot_of
 from energyplan.steering.kernels import arc_end
 from energyplan.terrain.collision import Body, Space, motion_free, pose_free
 
+_LEAST = 0.5**ESCAPE.halvings  # part of the longest motion of a kind
 KINDS = 8  # straight forwards and backwards, spins both ways, pivots about either tread both ways
 
 
@@ -191,8 +195,8 @@ def _enter(
     tree.dtheta[new] = dtheta
     tree.key[new] = here
     if turns:
-        half = max(setting.half_track, setting.widest)
-        tree.g[new] = tree.g[node] + abs(ds) + half * abs(dtheta)
+        radius = max(setting.half_track, least_radius_at(setting, pose))
+        tree.g[new] = tree.g[node] + abs(ds) + radius * abs(dtheta)
         f = tree.g[new] / (ESCAPE.doubling * setting.reach) - _octaves(room)
         if room >= wanted.turn and _fits(setting.space, wanted.grown, there):
             tree.found[counts[2]] = new
@@ -217,7 +221,6 @@ def escape(setting: KernelProblem, end: Pose, wanted: Wanted, tests: int) -> Esc
     alone, paths that cost little on the whole, to the other end, and more clearance.
     """
     space, body = setting.space, setting.body
-    half = max(setting.half_track, setting.widest)
     tree = _new_tree()
     counts = tree.counts
     room = _spin_room(space, body, end, counts) if wanted.turn > 0.0 else ESCAPE.turn
@@ -237,11 +240,11 @@ def escape(setting: KernelProblem, end: Pose, wanted: Wanted, tests: int) -> Esc
             tree.found[counts[2]] = node
             counts[2] += 1
             continue
+        radius = max(setting.half_track, least_radius_at(setting, pose))
         for kind in range(KINDS):
-            ds, dtheta = _longest(kind, setting.reach, half)
-            if ds < 0.0 and setting.gear != 0:
-                continue
-            if ds == 0.0 and setting.widest > 0.0:
+            ds, dtheta = _longest(kind, setting.reach, radius)
+            # as a part of any length is
+            if not allowed(setting, pose, _LEAST * ds, _LEAST * dtheta):
                 continue
             free = _free_part(space, body, pose, ds, dtheta, wanted.inwards, ESCAPE.closer, counts)
             if free == 0.0:
@@ -249,7 +252,9 @@ def escape(setting: KernelProblem, end: Pose, wanted: Wanted, tests: int) -> Esc
             for part in ESCAPE.parts:
                 # a part of a free motion is free, up to the subdivision of its test
                 one, other = free * part * ds, free * part * dtheta
-                if _free(space, body, pose, one, other, wanted.inwards, counts):
+                begin = arc_end(pose, -one, -other) if wanted.inwards else pose
+                counts[0] += 1
+                if permitted(setting, begin, one, other):
                     _enter(tree, setting, wanted, node, one, other)
     return tree
 
@@ -261,14 +266,14 @@ def _fits(space: Space, body: Body, pose: Pose) -> bool:
 
 
 @lean
-def _longest(kind: int, reach: float, half: float) -> tuple[float, float]:
+def _longest(kind: int, reach: float, radius: float) -> tuple[float, float]:
     """Return the length and the turn of the longest motion of a kind: a quarter turn at most."""
     sign = 1.0 if kind % 2 == 0 else -1.0
     if kind < 2:
         return sign * 4.0 * reach, 0.0
     if kind < 4:
         return 0.0, sign * 0.5 * pi
-    return half * 0.5 * pi * (1.0 if kind < 6 else -1.0), sign * 0.5 * pi
+    return radius * 0.5 * pi * (1.0 if kind < 6 else -1.0), sign * 0.5 * pi
 
 
 NOTHING = Segments(np.empty(0), np.empty(0))
