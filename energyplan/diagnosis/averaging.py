@@ -286,7 +286,7 @@ def _stacked(errors: FloatArray) -> FloatArray:
 
 
 def _by_odds(errors: FloatArray, handicap: FloatArray) -> FloatArray:
-    """Return the weights of models by the odds of their errors, (m, folds), less a handicap each."""
+    """Return the weights of models by the odds of their errors, (m, folds), less a handicap."""
     count = errors.shape[1]
     share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
     missed = np.maximum(share @ np.abs(errors).T, _EXACT)
