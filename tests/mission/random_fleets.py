@@ -60,14 +60,14 @@ def fleet(seed: int) -> Mission:
         )  # fmt: skip
     docks = tuple(
         Charger(f"c{k}", places.pop(), float(rng.uniform(200.0, 600.0)), until=1.0)
-        for k in range(int(rng.integers(0, 3)))
+        for k in range(int(rng.integers(1, 3)))
     )
     robots = tuple(
         Robot(
             f"r{k}", ("arm",) if k == 0 or rng.random() < 0.5 else (),
             {
                 "start": starts[k % 2], "model": MODELS[int(rng.integers(2))],
-                "battery": tiny(float(rng.uniform(3e3, 20e3))), "soc": float(rng.uniform(0.6, 1.0)),
+                "battery": tiny(float(rng.uniform(2e3, 10e3))), "soc": float(rng.uniform(0.6, 1.0)),
             },
         )
         for k in range(count)
