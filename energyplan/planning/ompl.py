@@ -225,7 +225,7 @@ def ompl_planner(make: Callable[[Any], Any], name: str) -> Callable[..., Candida
             steering = query.setting.steering
             count = steer_path(b.x - a.x, b.y - a.y, a.yaw, b.yaw, steering, ds, dtheta)
             parts.append(np.array([ds[:count], dtheta[:count]]))
-        return Candidate(query.path(Segments(*np.concatenate(parts, axis=1)), problem.start))
+        return Candidate(query.path(Segments(*np.concatenate(parts, axis=1))))
 
     plan.__name__ = plan.__qualname__ = name
     return plan

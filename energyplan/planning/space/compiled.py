@@ -382,12 +382,14 @@ class CompiledProblem:
         shift = (other.middle[1] - self.middle[1]) * motions.dtheta
         return Segments(motions.ds + shift, motions.dtheta)
 
-    def path(self, segments: Segments, start: Pose) -> Path:
-        """Return the path that starts at a pose, and keeps the clearance."""
+    def path(self, segments: Segments, start: Pose | None = None) -> Path:
+        """Return the path that starts at a pose, the problem's start if none is given."""
         problem = self.strict
         for motions in (merged(segments), segments):
             moved = self.reference(motions.ds, motions.dtheta)
-            path = Path(start, moved.ds, moved.dtheta, problem.cost.icr.longitudinal)
+            path = Path(
+                start or problem.start, moved.ds, moved.dtheta, problem.cost.icr.longitudinal
+            )
             if self.grid.path_free(path, problem.robot):
                 return path
         where = path.vertices[self.grid.first_collision(path, problem.robot) or 0]
