@@ -109,7 +109,7 @@ def evaluate(
         known = {task.name: task for task in with_poses(first, Legs(first)).tasks}
         tasks = tuple(known.get(task.name, task) for task in mission.tasks)
         if any(task.goals for task in tasks):
-            mission = replace(mission, tasks=tasks)
+            mission = mission.changed(tasks=tasks)
         return Sharing(mission, progress, routes).report()
     legs = Legs(mission, progress, routes)
     chosen = with_poses(mission, legs)

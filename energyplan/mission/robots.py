@@ -83,6 +83,7 @@ class Sharing:
         gap = float(np.nan) if left else self._gap(energy)
         if len(robots) == 1 and robots[0].proven and not left:
             gap = 0.0
+        known = (note for one in robots for note in one.warnings)
         return MissionReport(
             mission=self.mission,
             tasks=tuple(tasks),
@@ -92,7 +93,7 @@ class Sharing:
             feasible=all(one.feasible for one in robots) and not any(t.required for t in left),
             proven=bool(gap <= ORDERING.same),
             gap=gap,
-            warnings=tuple(dict.fromkeys(note for one in robots for note in one.warnings)),
+            warnings=tuple(dict.fromkeys((*self.mission.notes, *known))),
             robots=tuple(robots),
         )
 

@@ -1043,6 +1043,13 @@ class Mission(ReadOnly, html.Readable):
         kept = self.surfaces.keep_out if self.surfaces is not None else ()
         return self.map.with_blocked(kept) if kept else self.map
 
+    def changed(self, *notes: str, **changes: Any) -> Mission:
+        """Return the mission with other fields and further notes, and with those that it has."""
+        mission = replace(self, **changes)
+        known = dict.fromkeys((*notes, *self.notes, *mission.notes))
+        object.__setattr__(mission, "notes", tuple(known))
+        return mission
+
     @cached_property
     def parts(self) -> tuple[Mission, ...]:
         """The mission of each of several robots, with the tasks that it has the skills for."""
