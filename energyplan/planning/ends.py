@@ -118,26 +118,15 @@ class Ends:
         out, back = self.paths
         return replace(self.of.strict, start=out.end, goal=back.start)
 
-    @cached_property
-    def clear(self) -> bool:
-        """Whether the clearance and the margin are kept between the outer ways."""
-        return all(self.of.has_margin(end) for end in (self.problem.start, self.problem.goal))
-
     def setting(self, query: CompiledProblem) -> KernelProblem:
-        """Return the kernels' problem between the outer ways."""
-        start, goal = (query.centre(end) for end in (self.problem.start, self.problem.goal))
-        body = query.grown if self.clear else query.body
-        return query.setting._replace(body=body, start=start, goal=goal)
+        """Return the kernels' problem between the outer ways, with the margin where it fits."""
+        return _between(query, self.problem.start, self.problem.goal)
 
     @cached_property
     def between(self) -> KernelProblem:
-        """The kernels' problem between the inner ways, with the margin where that fits."""
+        """The kernels' problem between the inner ways, with the margin where it fits."""
         out, back = self._paths(self.problem, *self.inner)
-        ends = out.end, back.start
-        start, goal = (self.query.centre(end) for end in ends)
-        fits = all(self.query.has_margin(end) for end in ends)
-        body = self.query.grown if fits else self.query.body
-        return self.query.setting._replace(body=body, start=start, goal=goal)
+        return _between(self.query, out.end, back.start)
 
     @cached_property
     def to_go(self) -> CostToGo:
@@ -156,7 +145,7 @@ class Ends:
 
     def whole(self, found: Segments) -> Segments:
         """Return motions between the inner ways with these."""
-        return joined(self.inner[0], found, self.inner[1])
+        return chained(self.inner[0], found, self.inner[1])
 
     def path(self, query: CompiledProblem, found: Segments) -> Path:
         """Return the path from start to goal by motions between the outer ways."""
@@ -177,14 +166,18 @@ class Ends:
 
     def around(self, inner: Path) -> Path:
         """Return the path from the problem's start to its goal by one between the outer ways."""
-        if not self.lacking:
-            return inner
         out, back = self.paths
-        ds, dtheta = joined(out, inner, back)
+        ds, dtheta = chained(out, inner, back)
         return replace(inner, start=out.start, ds=ds, dtheta=dtheta)
 
 
-def joined(*parts: Segments | Path) -> Segments:
+def _between(query: CompiledProblem, start: Pose, goal: Pose) -> KernelProblem:
+    """Return the kernels' problem between two poses, with the margin where both have it."""
+    body = query.grown if query.has_margin(start) and query.has_margin(goal) else query.body
+    return query.setting._replace(body=body, start=query.centre(start), goal=query.centre(goal))
+
+
+def chained(*parts: Segments | Path) -> Segments:
     """Return several motions, one after the other."""
     ds, dtheta = zip(*((part.ds, part.dtheta) for part in parts), strict=True)
     return Segments(np.concatenate(ds), np.concatenate(dtheta))
@@ -212,7 +205,7 @@ def _with_clearance(problem: PlanningProblem, budget: Budget) -> Ends:
     """Return ends that have the whole clearance, and the margin if there is any room for it."""
     if problem.ends_clear:
         ends = Ends(compiled(problem))
-        return ends if ends.clear else _best_ways(problem, ends.of, budget) or ends
+        return ends if ends.of.ends_have_margin else _best_ways(problem, ends.of, budget) or ends
     there_is = problem.clearance_at_ends
     # as near to obstacles as the ends are, but for what turning takes; nearer where that is in vain
     for clearance in dict.fromkeys([max(there_is - _SWING, 0.0), 0.0]):
@@ -236,7 +229,10 @@ def _best_ways(problem: PlanningProblem, of: CompiledProblem, budget: Budget) ->
     """Return the ways that promise the least cost on the whole, of those from one end or both."""
     size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
     found: list[tuple[bool, bool, float, Ends]] = []
-    for ways in ways_out(of.leading, budget.part(SHARES.aside), turn=0.0):
+    # ways of little cost; where none is found, short ones to where there is room to turn
+    tried = ways_out(of.leading, budget.part(SHARES.aside), turn=0.0)
+    tried = tried or ways_out(of.leading, budget.part(SHARES.aside))
+    for ways in tried:
         ends = Ends(of, *ways)
         inner, setting = ends.problem, ends.between
         if not (inner.ends_clear and all(map(problem.allows, ends.paths))):

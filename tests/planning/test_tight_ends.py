@@ -25,7 +25,7 @@ ROBOT = box_robot(0.9, 0.6)
 COST = EnergyCost.from_coefficients(150.0, 60.0, 0.4)
 
 
-@pytest.mark.parametrize("seed", by_day(range(80), [1, 2]))
+@pytest.mark.parametrize("seed", by_day(range(80), [1, 2, 60]))
 def test_who_drove_into_a_tight_place_gets_out_again(seed):
     problem, known = tight_problem(seed)
     found = plan(problem, effort=EFFORT, initial=[])

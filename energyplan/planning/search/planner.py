@@ -95,8 +95,8 @@ def plan(
         return Candidate(path, value, first, open=stages.over)
     path, driven = stages.answered()
     if ends.lacking:
-        found = refined_at_ends(ends, path, budget)
-        path, driven = found, None if found is not path else driven
+        stages.answer.weigh(refined_at_ends(ends, path, budget), budget)
+        path, driven = stages.answer.best(), stages.answer.driven
     beyond = query.value(path) - query.potential(problem.goal)
     left = min(budget.left, SHARES.aside * (budget.limit or 0))
     do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
