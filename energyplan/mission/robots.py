@@ -19,7 +19,6 @@ import numpy as np
 
 from energyplan.mission._order_kernel import OrderProblem
 from energyplan.mission.drive import Simulation, Status
-from energyplan.mission.evaluation import REASONS, Docking, Evaluation
 from energyplan.mission.order import (
     EXACT,
     ORDERING,
@@ -34,6 +33,7 @@ from energyplan.mission.order import (
 )
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
+from energyplan.mission.single import REASONS, Docking, Evaluation
 from energyplan.mission.types import Charger, Mission, Task
 
 _ROUNDS = 12  # most rounds of sharing and planning
