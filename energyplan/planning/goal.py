@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin
+from math import copysign, cos, hypot, pi, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -123,6 +123,18 @@ class Goal:
             self.headings or (pose.yaw,), key=lambda one: abs(float(wrap_angle(one - pose.yaw)))
         )
         return Pose(self.x + part * (pose.x - self.x), self.y + part * (pose.y - self.y), yaw)
+
+    def first_from(self, pose: Pose) -> FloatArray:
+        """Return the poses of it nearest to another, and where that first is straight ahead."""
+        near = self.nearest(pose)
+        found = [(near.x, near.y, yaw) for yaw in self.headings or (pose.yaw,)]
+        c, s = cos(pose.yaw), sin(pose.yaw)
+        dx, dy = self.x - pose.x, self.y - pose.y
+        ahead, aside = c * dx + s * dy, c * dy - s * dx
+        if self.yaw is None and abs(aside) < self.radius < hypot(dx, dy):
+            ahead -= copysign(sqrt(self.radius**2 - aside**2), ahead)
+            found.append((pose.x + c * ahead, pose.y + s * ahead, pose.yaw))
+        return np.array(found)
 
     def describe(self) -> str:
         """Say what it is."""

@@ -420,12 +420,20 @@ def ended(
         pose = Pose(*fine.vertices[late[inside[0]]].tolist())
         best = _End(float(came[late[inside[0]]]), inside[0], pose, nothing)
     ends = goal.samples(SEVERAL.headings, SEVERAL.around, path.end.yaw)
-    turn = 2.0 * np.pi / SEVERAL.headings
+    ends = np.concatenate([ends, goal.first_from(path.start)])
+    turn, step = 2.0 * np.pi / SEVERAL.headings, 0.5 * goal.radius
+    if goal.headings and goal.radius:  # turning to a heading may take room before the edge
+        ends = np.concatenate(
+            [ends, replace(goal, radius=step).samples(1, SEVERAL.around, path.end.yaw)]
+        )
     for _ in range(SEVERAL.zooms if not goal.headings or goal.radius else 1):
         best = ways.cheapest(ends, best)
-        if goal.headings:
-            break
         x, y, yaw = best.pose
+        if goal.headings:
+            step *= 0.5
+            ends = Goal(x, y, yaw, radius=step).samples(1, SEVERAL.around)
+            ends = ends[np.hypot(ends[:, 0] - goal.x, ends[:, 1] - goal.y) <= goal.radius]
+            continue
         turns = turn * (np.arange(2 * SEVERAL.parts + 1) / SEVERAL.parts - 1.0)
         ends = np.column_stack([np.full(len(turns), x), np.full(len(turns), y), yaw + turns])
         turn /= SEVERAL.parts
