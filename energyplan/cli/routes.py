@@ -654,7 +654,7 @@ def evaluated_mission(file: Path, effort: int | None, reverse: str | None) -> di
 
 def _read_mission(file: Path, effort: int | None, reverse: str | None) -> Mission:
     """Read a mission, and give it, and each of several robots, what the command says."""
-    from energyplan.io.mission import noted, read_mission
+    from energyplan.io.mission import read_mission
 
     wanted = read_mission(file)
 
@@ -671,7 +671,7 @@ def _read_mission(file: Path, effort: int | None, reverse: str | None) -> Missio
         for one in wanted.robots
     )
     whole = {key: changed(key, getattr(wanted, key)) for key in keys}
-    return noted(replace(wanted, robots=robots, **whole), wanted.notes)
+    return wanted.changed(robots=robots, **whole)
 
 
 def _failure(text: str) -> tuple[str, float]:

@@ -219,7 +219,7 @@ def _as_ordered(mission: Mission, order: TaskOrder) -> Mission:
                 f"the order limits the speed to {limit:g} m/s (maxSpeed of its edges), which is "
                 f"not used here: give speed: {limit:g}",
             )
-    return noted(mission, notes) if notes else mission
+    return mission.changed(*notes)
 
 
 class _Entry(Checked, BaseModel):
@@ -254,6 +254,7 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
     if "model" in own or any("vehicle" in extra for extra in extras):
         own |= {"model", "surfaces", "heights"}  # what a model knows of the ground is laid out
     robots: list[Robot] = []
+    notes: list[str] = []
     for k, (entry, extra) in enumerate(zip(entries, extras, strict=True)):
         able = [j for j, task in enumerate(tasks) if {*task.needs} <= {*entry.skills}]
         if tasks and not able:
@@ -274,15 +275,10 @@ def _of_robots(document: Document, folder: Path, anywhere: bool) -> Mission:
         mission = _build(Document(document.source, data, lines, MissionError), folder, anywhere)
         changes = {key: getattr(mission, key) for key in own}
         robots.append(Robot(entry.name, entry.skills, changes))
+        notes += mission.notes
     whole: dict[str, Any] = {"name": str(common.get("name", Path(document.source).stem)),
                              "home": mission.home if "home" in common else None}  # fmt: skip
-    return noted(replace(mission, tasks=tasks, robots=tuple(robots), **whole), mission.notes)
-
-
-def noted(mission: Mission, notes: tuple[str, ...]) -> Mission:
-    """Give a mission that was changed the notes of the file that it is from."""
-    object.__setattr__(mission, "notes", tuple(dict.fromkeys((*notes, *mission.notes))))
-    return mission
+    return mission.changed(*notes, tasks=tasks, robots=tuple(robots), **whole)
 
 
 def read_battery(source: str | Path | dict[str, Any]) -> Battery:

@@ -72,7 +72,7 @@ def with_poses(mission: Mission, legs: Legs, order: Sequence[int] = ()) -> Missi
         replace(task, pose=ways.entries[k + 1][chosen[k]]) if task.goals and k in chosen else task
         for k, task in enumerate(mission.tasks)
     )
-    return replace(mission, tasks=tasks)
+    return mission.changed(tasks=tasks)
 
 
 class _Ways:

@@ -19,7 +19,6 @@ import numpy as np
 
 from energyplan.mission._order_kernel import OrderProblem
 from energyplan.mission.drive import Simulation, Status
-from energyplan.mission.evaluation import REASONS, Docking, Evaluation
 from energyplan.mission.order import (
     EXACT,
     ORDERING,
@@ -34,6 +33,7 @@ from energyplan.mission.order import (
 )
 from energyplan.mission.report import MissionReport, TaskReport
 from energyplan.mission.routes import Legs, Progress, Routes
+from energyplan.mission.single import REASONS, Docking, Evaluation
 from energyplan.mission.types import Charger, Mission, Task
 
 _ROUNDS = 12  # most rounds of sharing and planning
@@ -83,6 +83,7 @@ class Sharing:
         gap = float(np.nan) if left else self._gap(energy)
         if len(robots) == 1 and robots[0].proven and not left:
             gap = 0.0
+        known = (note for one in robots for note in one.warnings)
         return MissionReport(
             mission=self.mission,
             tasks=tuple(tasks),
@@ -92,7 +93,7 @@ class Sharing:
             feasible=all(one.feasible for one in robots) and not any(t.required for t in left),
             proven=bool(gap <= ORDERING.same),
             gap=gap,
-            warnings=tuple(dict.fromkeys(note for one in robots for note in one.warnings)),
+            warnings=tuple(dict.fromkeys((*self.mission.notes, *known))),
             robots=tuple(robots),
         )
 

@@ -717,7 +717,7 @@ def _planned(
     query = compiled(ends.bare)
     bound = found.lower_bound
     if bound is None:
-        value, _ = lower_bound(query, query.value(found.path))
+        value = lower_bound(query, query.value(found.path)).value
         bound = query.potential(problem.goal) + value
     return priced_plan(query, found, bound, name, budget, problem=problem, notes=ends.notes)
 

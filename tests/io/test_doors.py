@@ -120,6 +120,20 @@ def by_python(work: Callable[[], tuple[dict[str, Any], tuple[str, ...]]]) -> Sai
     return said(document, *notes)
 
 
+def test_what_is_known_of_each_of_several_robots_is_in_the_answer(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    robots = [{"name": name, "model": model} for name, model in
+              (("a", MARBLE), ("b", "jackal:flooring"), ("c", "husky_a200:flooring"))]  # fmt: skip
+    Path("fleet.yaml").write_text(
+        yaml.safe_dump({**MISSION, "surfaces": "hill.geojson", "robots": robots})
+    )
+    warnings = ep.evaluate(read_mission("fleet.yaml")).warnings
+    models = [one.rpartition("the model's ")[2] for one in warnings if OTHER in one]
+    assert models == ["quadriga:full", "jackal"]  # the surfaces are a Husky's
+
+
 def options(asked: dict[str, Any]) -> list[str]:
     """Return a request as the options of a command."""
     words = []
@@ -217,6 +231,7 @@ def test_an_objective_that_there_is_not_is_refused_by_every_door(
         ({}, "typical of its chemistry"),
         ({"map": "slope.yaml"}, WEIGHT),
         ({"surfaces": "hill.geojson"}, OTHER),
+        ({"surfaces": "hill.geojson", "tasks": [{"name": "look", "pose": [4, 1]}]}, OTHER),
         ({"keepout": "mask.yaml"}, ""),
         ({"model": "quadriga:full:lava"}, "lava"),
         ({"map": "broken.yaml"}, "broken.yaml, line 1, heights: "),
