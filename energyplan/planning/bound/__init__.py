@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import FloatTable, processors
 from energyplan.planning.bound.corners import DiscEnds, least_over_corners, ways_to_goal
-from energyplan.planning.bound.headings import EUCLIDEAN, heading_forces
+from energyplan.planning.bound.headings import EUCLIDEAN, heading_forces, least_of_sweeps
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess, least_of_metres
@@ -93,6 +93,8 @@ def lower_bound(
         turn = 0.0 if target.any_heading else _turn(setting)
         total = setting.least_radian * turn
         total += extent(forces.total, limit, effort, spent)
+        if target.around == 0.0:
+            total = max(total, least_of_sweeps(forces.price, setting, target.any_heading))
         if total >= limit:
             return Bound(total, True)
         excess += extent(forces.excess, limit, effort, spent)
