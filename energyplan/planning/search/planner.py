@@ -502,8 +502,13 @@ def shortened(query: CompiledProblem, path: Path, budget: Budget) -> Path:
     portfolio.enter(query.of_centre(path.ds, path.dtheta))
     while not budget.over and (work := portfolio.work(enough)):
         work.take(work.run(budget))
-    found = _finished(query, portfolio.best)
-    return found if query.value(found) < query.value(path) else path
+    with suppress(PlanningError):
+        found = query.path(portfolio.best)
+        if not max(query.problem.radii) > 0:
+            found = _with_fewer_motions(query, found)
+        if query.value(found) < query.value(path) and query.problem.fault(found) is None:
+            return found
+    return path
 
 
 def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
