@@ -43,6 +43,7 @@ from energyplan.planning.driven import Candidate, DrivenPath, stops_count
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.first import Paths, between_ends, find_first
 from energyplan.planning.search.lattice import Search, lattice_for
+from energyplan.planning.search.moving_turns import TurnSearch
 from energyplan.planning.search.narrow.ends import surely_has_room
 from energyplan.planning.search.narrow.passages import paths_through_passages, units_for_passages
 from energyplan.planning.search.optimise import Portfolio, Refiner
@@ -127,6 +128,7 @@ class _Stages:
         self.paths, self.budget, self.known = paths, budget, known
         self.answer = Answer(query, stops_count(query.problem))
         self.short_query = compiled(query.problem.shortest)
+        self.moving: Weighed | None = None  # the best path with turns at speed
         self.shortest = Answer(self.short_query, driven=False)
         self.short = None if is_length(query.problem) else Portfolio(self.short_query.setting, 1)
         self.looked = 0  # paths entered of which the shortest is known
@@ -141,6 +143,7 @@ class _Stages:
             "passages": self._passages(),
             "driving": self._driving(),
             "varying": self._varying(),
+            "moving": self._moving(),
         }
         self.spent = dict.fromkeys(self.lanes, 0.0)
         self.cut = dict.fromkeys(self.lanes, False)  # whether the last step needed more
@@ -216,6 +219,8 @@ class _Stages:
     @property
     def value(self) -> float:
         """What the answer costs, as the paths are compared."""
+        if self.moving is not None and self.moving.value < self.answer.value:
+            return self.moving.value
         return self.answer.value if self.answer.drives else self.paths.cost
 
     @property
@@ -476,11 +481,34 @@ class _Stages:
                 run = self._weighing(Refiner(setting, paths.portfolio.best), STOPS.polish)
                 yield Work(run, 2.0 * REFINING.step + UNITS.drive, self.answer.take)
 
+    def _moving(self) -> Iterator[Work | None]:
+        """Yield drives of the best path that stops, with turns at speed in place of stops."""
+        answer, problem = self.answer, self.paths.query.problem
+        reshaped: Path | None = None
+        while True:
+            if answer.path is reshaped or not self._stops_matter:
+                yield None
+                continue
+            reshaped = answer.best()
+            search = TurnSearch(problem, reshaped, answer.value)
+            while answer.path is reshaped and (path := search.candidate()) is not None:
+
+                def take(found: Weighed | None, search: TurnSearch = search) -> None:
+                    if found is None:
+                        return
+                    search.take(found.value)
+                    if found.value < self.value:
+                        self.moving = found
+
+                yield Work(partial(self._weighed, path), UNITS.drive, take)
+
     def answered(self) -> tuple[Path, DrivenPath | None]:
         """Return the best path, and its drive where paths were driven."""
         answer, query = self.answer, self.paths.query
         if not answer.drives and isinstance(query.problem.cost.steering_parameters, StaticSteering):
             answer.weigh(_finished(query, self.paths.portfolio.best), self.budget)
+        if self.moving is not None and self.moving.value < answer.value:
+            return self.moving.path, self.moving.driven
         return answer.best(), answer.driven
 
 
