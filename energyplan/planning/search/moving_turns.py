@@ -4,20 +4,22 @@ A turn on the spot or an arc beside a straight line makes the robot stop, as the
 treads may not jump. While it drives on with its outer tread, the inner one may slow down, stop or
 run backwards, and speed up again. Over the distance of the outer tread, the difference between the
 two treads then grows at a constant rate, stays, and falls: a turn's `Shape` is that rate and the
-largest difference. `Corners.reshaped` puts such turns into the corners of a path; at its start and its end,
-where the robot stands anyway, the difference is there from the first on.
+largest difference. `Corners.reshaped` puts such turns into the corners of a path; at its start and
+its end, where the robot stands anyway, the difference is there from the first on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import atan2, ceil, cos, hypot, isfinite, pi, remainder, sin, sqrt
+from math import atan2, ceil, cos, hypot, isfinite, pi, remainder, sin, sqrt, tan
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from energyplan.path import FloatArray, Path
+from energyplan.planning.budget import UNITS, Budget
+from energyplan.planning.driven import corners_free
 from energyplan.planning.problem import PlanningProblem
 from energyplan.planning.settings import MOVING_TURNS
 from energyplan.vehicle import TreadICR
@@ -28,6 +30,7 @@ class Shape(NamedTuple):
 
     slope: float  # growth of the treads' difference over the outer tread's distance [1/m]
     most: float  # largest difference, over the outer tread's: 1 stops the inner one, 2 spins [1]
+    out: float = 0.0  # how far its corner is moved outwards, over what it cuts off [1]
 
 
 class _Stretch(NamedTuple):
@@ -161,16 +164,18 @@ def _joined(part: _Stretch, shapes: Sequence[Shape], icr: TreadICR) -> list[_Arc
     turns = list(part.turns)
     final = part.yaw + sum(turns)
     error = np.inf
+    corners = _moved(part, shapes, icr)
     for _ in range(MOVING_TURNS.rounds):
-        begin = _arcs(turns[0], shapes[0], part.ahead, icr, arrives=False)
-        end = _arcs(turns[-1], shapes[-1], part.ahead, icr, leaves=False)
+        # without a turn before or after the lines, their headings may change by a small one
+        begin = _arcs(turns[0], shapes[0], part.ahead, icr, False, part.turns[0] != 0.0)
+        end = _arcs(turns[-1], shapes[-1], part.ahead, icr, part.turns[-1] != 0.0, False)
         way, back = begin.reach(), end.reach()
         longest = 0 if hypot(*way) > hypot(*back) else len(turns) - 1
         if error < MOVING_TURNS.exact:
             break
         places = np.vstack([
             part.start + _rotated(way, part.yaw),
-            part.corners,
+            corners,
             part.end - _rotated(back, final - turns[-1]),
         ])  # fmt: skip
         steps = part.ahead * np.diff(places, axis=0)
@@ -199,6 +204,20 @@ def _joined(part: _Stretch, shapes: Sequence[Shape], icr: TreadICR) -> list[_Arc
     return found
 
 
+def _moved(part: _Stretch, shapes: Sequence[Shape], icr: TreadICR) -> FloatArray:
+    """Return the corners of a stretch, moved outwards."""
+    corners = part.corners.copy()
+    yaw = part.yaw + np.cumsum(part.turns)
+    for k, corner in enumerate(corners):
+        turn, shape = part.turns[k + 1], shapes[k + 1]
+        if shape.out:
+            cut = _cut(_arcs(turn, shape, part.ahead, icr), turn, part.ahead)
+            aside = yaw[k] + 0.5 * turn - 0.5 * pi * np.sign(turn)
+            size = part.ahead * shape.out * cut * tan(0.25 * abs(turn))
+            corner += size * np.array([cos(aside), sin(aside)])
+    return corners
+
+
 def _cut(arcs: _Arcs, turn: float, ahead: float) -> float:
     """Return how far from the corner a turn leaves one line and joins the other [m]."""
     x, y = arcs.reach()
@@ -214,7 +233,7 @@ def _rotated(way: FloatArray, yaw: float) -> FloatArray:
 
 def _arcs(
     turn: float, shape: Shape, ahead: float, icr: TreadICR,
-    *, arrives: bool = True, leaves: bool = True,
+    arrives: bool = True, leaves: bool = True,
 ) -> _Arcs:  # fmt: skip
     """Return a turn of a shape as arcs, which arrives on a line and leaves on one.
 
@@ -224,7 +243,7 @@ def _arcs(
     if area < MOVING_TURNS.still**2:
         return _NONE
     ramps = leaves + arrives
-    most = min(shape.most, sqrt(2.0 * area * shape.slope / ramps))
+    most = min(shape.most, sqrt(2.0 * area * shape.slope / ramps)) if ramps else shape.most
     ramp = most / shape.slope
     count = max(ceil(most / MOVING_TURNS.step), 2)
     rising = (np.arange(count) + 0.5) / count * most
@@ -237,15 +256,22 @@ def _arcs(
     dtheta = outer * difference / icr.slip_track
     dtheta *= turn / dtheta.sum()
     lever = icr.right if ahead * turn > 0 else icr.left
-    return _Arcs(ahead * (outer - lever * np.abs(dtheta)), dtheta)
+    return _Arcs(ahead * (outer - lever * np.abs(dtheta)) + 0.0, dtheta)
+
+
+class _Shaped(NamedTuple):
+    """A path's turns with their shapes."""
+
+    corners: Corners
+    shapes: list[Shape]
 
 
 class TurnSearch:
     """The search for shapes of a path's turns with which driving it takes least.
 
     `candidate` returns the next path to drive, and `take` what came of it. All turns get one slope
-    first, each as gradual as obstacles allow; then slope and largest difference of each are
-    changed, by smaller and smaller factors.
+    first, each moved outwards or a sharper one where it is not free; where that gains nothing, one
+    turn alone does. Then the shape of each is changed by smaller and smaller steps.
     """
 
     def __init__(self, problem: PlanningProblem, path: Path, value: float) -> None:
@@ -256,88 +282,124 @@ class TurnSearch:
         speed = min(float(problem.cost.cheapest_speed(0.0)), motor.speed)
         self._slope = motor.acceleration / speed**2  # one tread slows down while the other does not
         self.value = value
+        self._path = path
         self._corners = Corners.of(path)
-        self._best: list[Shape] | None = None
-        self._tried: list[Shape] = []
+        self._best: _Shaped | None = None
+        self._tried: _Shaped | None = None
         self._proposals = self._proposed()
+        self.over = False
 
-    @property
-    def count(self) -> int:
-        """Number of turns that have a shape."""
-        return len(self._corners.places)
-
-    def candidate(self) -> Path | None:
-        """Return the next path to drive; None at the end."""
-        return next(self._proposals, None)
+    def candidate(self, budget: Budget) -> Path | None:
+        """Return the next path to drive; None where the shapes tried allow none."""
+        budget.spend(UNITS.reshaped)
+        try:
+            return next(self._proposals)
+        except StopIteration:
+            self.over = True
+            return None
 
     def take(self, value: float) -> None:
         """Take what driving the candidate takes."""
         if value < self.value:
             self.value, self._best = value, self._tried
 
-    def _proposed(self) -> Iterator[Path]:
-        """Yield paths to drive."""
+    def _proposed(self) -> Iterator[Path | None]:
+        """Yield paths to drive, and None where one is not allowed."""
         if not (isfinite(self._slope) and self._slope > 0.0):
             return
-        sharpest = MOVING_TURNS.sharpest * self._slope
-        kept: set[int] = set()
-        while (blocked := self._blocked([Shape(sharpest, self._widest)] * self.count)) != set():
-            if blocked is None:
-                return
-            kept |= {self._corners.places[k] for k in blocked}
-            self._corners = Corners.of(self._corners.path, frozenset(kept))
-        for factor in MOVING_TURNS.slopes:
-            yield from self._free(factor * self._slope)
+        yield from self._with_slopes(frozenset())
+        if self._best is None:
+            # of all turns that can be driven at speed, those that gain by themselves
+            every = frozenset(Corners.of(self._path).places)
+            gaining: set[int] = set()
+            for place in sorted(every):
+                before = self.value
+                yield from self._with_slopes(every - {place})
+                if self.value < before:
+                    gaining.add(place)
+            if len(gaining) > 1:
+                yield from self._with_slopes(every - gaining)
+        if self._best is not None:
+            yield from self._improved()
+
+    def _improved(self) -> Iterator[Path | None]:
+        """Yield paths with the shape of one turn after the other changed."""
+        if self._best is not None:
+            self._corners = self._best.corners
         step = MOVING_TURNS.first
-        while self._best is not None and step > MOVING_TURNS.last:
+        while step > MOVING_TURNS.last:
             before = self.value
-            for k in range(self.count):
+            for k in range(len(self._corners.places)):
                 yield from self._varied(k, "slope", step)
                 yield from self._varied(k, "most", sqrt(step))
+                yield from self._varied(k, "out", step)
             if self.value > before * (1.0 - MOVING_TURNS.gain):
                 step = sqrt(step)
 
-    def _varied(self, k: int, name: str, factor: float) -> Iterator[Path]:
+    def _varied(self, k: int, name: str, factor: float) -> Iterator[Path | None]:
         """Yield paths with one number of one turn changed, on as long as that gains."""
         for change in (factor, 1.0 / factor):
             gains = True
             while gains:
-                shapes, before = list(self._best or ()), self.value
-                number = change * getattr(shapes[k], name)
-                shape = shapes[k]._replace(**{name: number})
-                if not shape.most <= self._widest * (1.0 + 1e-9):
+                shapes, before = list(self._best.shapes if self._best else ()), self.value
+                number = getattr(shapes[k], name)
+                number = number + change - 1.0 if name == "out" else number * change
+                shapes[k] = shapes[k]._replace(**{name: number})
+                if shapes[k].most > self._widest * (1.0 + 1e-9):
                     break
-                shapes[k] = shape
-                yield from self._allowed(shapes)
+                yield self._allowed(shapes)
                 gains = self.value < before
             if self.value < before:
                 return
 
-    def _free(self, slope: float) -> Iterator[Path]:
-        """Yield the path whose turns have a slope, each a greater one where it is not free."""
-        shapes = [Shape(slope, self._widest)] * self.count
-        for _ in range(MOVING_TURNS.attempts):
-            blocked = self._blocked(shapes)
-            if blocked is None:
-                return
-            if not blocked:
-                yield from self._allowed(shapes)
-                return
-            for k in blocked:
-                shapes[k] = shapes[k]._replace(slope=MOVING_TURNS.sharper * shapes[k].slope)
+    def _with_slopes(self, kept: frozenset[int]) -> Iterator[Path | None]:
+        """Yield paths whose turns have one slope, but for those to keep.
 
-    def _blocked(self, shapes: Sequence[Shape]) -> set[int] | None:
-        """Return which turns are too wide at the first place that is not free; None if others."""
+        Where a turn is not free it gets another shape, and after the last one it is kept too.
+        """
+        for factor in MOVING_TURNS.slopes:
+            self._corners = Corners.of(self._path, kept)
+            levels = dict.fromkeys(self._corners.places, 0)
+            while places := self._corners.places:
+                shapes = [self._shape(factor, levels[place]) for place in places]
+                blocked = {places[k] for k in self._blocked(shapes)}
+                if not blocked:
+                    yield self._allowed(shapes)
+                    break
+                ends = places[0], places[-1]  # which no corner moves
+                for place in blocked:
+                    levels[place] += len(MOVING_TURNS.out) if place in ends else 1
+                stay = {place for place in places if levels[place] >= MOVING_TURNS.levels} - kept
+                if stay:
+                    kept |= stay
+                    self._corners = Corners.of(self._path, kept)
+                elif max(levels.values()) >= MOVING_TURNS.levels:
+                    return
+                yield None
+
+    def _shape(self, factor: float, level: int) -> Shape:
+        """Return a shape that is moved outwards, then sharper, from level to level."""
+        sharper, out = divmod(level, len(MOVING_TURNS.out))
+        slope = factor * MOVING_TURNS.sharper**sharper * self._slope
+        return Shape(slope, self._widest, MOVING_TURNS.out[out])
+
+    def _blocked(self, shapes: Sequence[Shape]) -> set[int]:
+        """Return turns that are too wide at places that are not free."""
         found = self._corners.reshaped(shapes, self._icr)
-        at = 0 if found.path is None else self._problem.first_collision(found.path)
-        if at is None:
-            return set()
-        turns = {int(k) for k in found.turns[min(at, len(found.turns) - 1)]} - {-1}
-        return turns or None
+        if found.path is None:
+            return {*found.turns.ravel().tolist()}
+        at = self._problem.first_collision(found.path)
+        if at is not None:
+            return {*found.turns[min(at, len(found.turns) - 1)].tolist()} - {-1}
+        problem, turns = self._problem, found.turns
+        rounded = corners_free(found.path, problem.cost, problem.robot, problem.terrain.obstacles)
+        inside = (turns[:-1] == turns[1:]).all(axis=1) & (turns[1:, 0] == turns[1:, 1])
+        return {*turns[1:, 0][inside & ~rounded].tolist()} - {-1}
 
-    def _allowed(self, shapes: list[Shape]) -> Iterator[Path]:
-        """Yield the path with turns of given shapes if the problem allows it."""
+    def _allowed(self, shapes: list[Shape]) -> Path | None:
+        """Return the path with turns of given shapes if the problem allows it."""
         path = self._corners.reshaped(shapes, self._icr).path
-        if path is not None and self._problem.fault(path) is None:
-            self._tried = shapes
-            yield path
+        if path is None or self._problem.fault(path) is not None:
+            return None
+        self._tried = _Shaped(self._corners, shapes)
+        return path

@@ -491,16 +491,22 @@ class _Stages:
                 continue
             reshaped = answer.best()
             search = TurnSearch(problem, reshaped, answer.value)
-            while answer.path is reshaped and (path := search.candidate()) is not None:
+            much = STAGES.anew * answer.value
+            while not search.over and answer.value > much:
+                run = partial(self._reshaped, search)
+                yield Work(run, UNITS.reshaped + UNITS.drive, partial(self._take_moving, search))
 
-                def take(found: Weighed | None, search: TurnSearch = search) -> None:
-                    if found is None:
-                        return
-                    search.take(found.value)
-                    if found.value < self.value:
-                        self.moving = found
+    def _reshaped(self, search: TurnSearch, own: Budget) -> Weighed | None:
+        """Return a drive of a path with other turns, where the search has one."""
+        path = search.candidate(own)
+        return None if path is None else self._weighed(path, own)
 
-                yield Work(partial(self._weighed, path), UNITS.drive, take)
+    def _take_moving(self, search: TurnSearch, found: Weighed | None) -> None:
+        """Take a path with turns at speed where it is better than those before."""
+        if found is not None:
+            search.take(found.value)
+            if found.value < self.value:
+                self.moving = found
 
     def answered(self) -> tuple[Path, DrivenPath | None]:
         """Return the best path, and its drive where paths were driven."""
