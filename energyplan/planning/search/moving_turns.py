@@ -84,7 +84,8 @@ class Corners(NamedTuple):
         first = lines[0] if 0 in kept else 0
         if first:
             parts.append(_Arcs(path.ds[:first], path.dtheta[:first]))
-        turns, corners, places = [float(yaws[lines[0]] - yaws[first])], [], [0]
+        turns, places = [float(yaws[lines[0]] - yaws[first])], [0]
+        corners: list[FloatArray] = []
         for k, this in enumerate(lines):
             last = k + 1 == len(lines)
             other = len(path) if last else lines[k + 1]
@@ -94,7 +95,7 @@ class Corners(NamedTuple):
             turn = float(yaws[other] - yaws[this])
             place = None if last else _corner(points, yaws, this, other)
             free = k + 1 not in kept and (last or place is not None)
-            if free and on and abs(turn) < MOVING_TURNS.widest:
+            if place is not None and free and on and abs(turn) < MOVING_TURNS.widest:
                 turns.append(turn)
                 corners.append(place)
                 places.append(k + 1)
@@ -105,7 +106,7 @@ class Corners(NamedTuple):
             turns.append(turn if ended else 0.0)
             parts.append(
                 _Stretch(
-                    points[first], points[end], np.reshape(corners, (-1, 2)),
+                    points[first], points[end], np.array(corners).reshape(-1, 2),
                     float(np.sign(path.ds[this])), float(yaws[first]), tuple(turns),
                     (*places, k + 1),
                 )
@@ -221,7 +222,7 @@ def _moved(part: _Stretch, shapes: Sequence[Shape], icr: TreadICR) -> FloatArray
 def _cut(arcs: _Arcs, turn: float, ahead: float) -> float:
     """Return how far from the corner a turn leaves one line and joins the other [m]."""
     x, y = arcs.reach()
-    return ahead * (x * cos(0.5 * turn) + y * sin(0.5 * turn)) / (2.0 * cos(0.5 * turn))
+    return float(ahead * (x * cos(0.5 * turn) + y * sin(0.5 * turn)) / (2.0 * cos(0.5 * turn)))
 
 
 def _rotated(way: FloatArray, yaw: float) -> FloatArray:
