@@ -542,6 +542,12 @@ REFUSED: dict[str, Refused] = {
             "power": at.power}),
         r"ticks/sample where they count from row to row",
         of_encoders("encoder_count_l", "encoder_count_r", 2e-5, "ticks/sample")),
+    "encoders_that_went_far": Refused(  # 200 m before, which is no speed
+        lambda at: csv({
+            "time": at.t, "enc_left": 1e7 + at.counts(5e4)[0], "enc_right": 1e7 + at.counts(5e4)[1],
+            "gyro_z": at.yaw_rate, "power": at.power}),
+        r"how far a count goes is not known: give --counts-per-revolution",
+        {"counts_per_revolution": 0.22 * np.pi * 5e4}),
     "encoders_that_tell_a_rate": Refused(
         lambda at: csv({
             "time": at.t, "enc_left_tps": np.round(4e4 * at.left),

@@ -184,14 +184,15 @@ def planning(json: bool, strict: bool) -> Iterator[None]:
         raise typer.Exit(NO if strict else 0) from None
 
 
-def drive_to(trajectory: Path | None, planned: Plan) -> None:
-    """Drive a plan and write its trajectory; say why where it cannot be driven."""
+def drive_to(trajectory: Path | None, planned: Plan, *others: Plan) -> None:
+    """Drive plans and write the first one's trajectory; say why where they cannot be driven."""
     from energyplan.io.tables import write_trajectory
 
     if trajectory:
         write_trajectory(planned.driven.trajectory, trajectory)
-    if planned.why_not_driven:
-        warn(f"the path cannot be timed: {planned.why_not_driven}")
+    for why in dict.fromkeys(plan.why_not_driven for plan in (planned, *others)):
+        if why:
+            warn(f"the path cannot be timed: {why}")
 
 
 @app.command(
@@ -297,9 +298,7 @@ def compare(
     problem = routing.problem(site, supply.measured(drive), parse_pose(start), goals.goals)
     with planning(json, strict):
         result = search(problem, planner=routing.planner, **asdict(effort))
-    drive_to(routing.trajectory, result.energy_optimal)
-    if result.shortest.path != result.energy_optimal.path:
-        drive_to(None, result.shortest)
+    drive_to(routing.trajectory, result.energy_optimal, result.shortest)
     routing.write(problem, {"least energy": result.energy_optimal, "shortest": result.shortest})
     if report:
         from energyplan.output.pages import comparison_page

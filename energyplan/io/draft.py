@@ -467,9 +467,12 @@ def _counted(
             for c, one in encoders.items()
         }
     metres = 2 * pi * known.wheel_radius / known.counts_per_revolution
-    if isfinite(metres) and all(one.unit for one in encoders.values()):
+    largest = [np.nanmax(np.abs(recording.column(one.field))) for one in encoders.values()]
+    # counts that would be no speed, and so no distance from row to row either, count on
+    counted = TOTAL if metres * min(largest) > _FASTEST else ""
+    if isfinite(metres) and all(one.unit or counted for one in encoders.values()):
         return {
-            channel: one.changed(unit=f"{one.unit}*{metres:.8g}").mean()
+            channel: one.changed(unit=f"{one.unit or counted}*{metres:.8g}").mean()
             for channel, one in encoders.items()
         }
     size = f"{metres / (1 + len(encoders['v_left'].plus)):.6g}" if isfinite(metres) else "0.0001"
@@ -480,12 +483,17 @@ def _counted(
         f" where they count on, {SINCE} where they count from row to row, {RATE} where they count "
         "in a second"
     )  # fmt: skip
+    wanted = "and how it counts is not known: give that in brackets" if isfinite(metres) else (
+        "and how far a count goes is not known: give --counts-per-revolution with --wheel-radius, "
+        "or the metres per count (1 if it counts metres) and, in brackets, how it counts"
+    )  # fmt: skip
     raise DriveLogError(
-        f"{recording.source}: {encoders['v_left'].field!r} is an encoder's, and how far a count "
-        f"goes is not known: give --counts-per-revolution with --wheel-radius, or the metres per "
-        "count (1 if it counts metres) and, in brackets, how it counts, as in "
+        f"{recording.source}: {encoders['v_left'].field!r} is an encoder's, {wanted}, as in "
         f'--columns "{stated}"{how}'
     )
+
+
+_FASTEST = 50.0  # beyond which no robot's treads are read to go [m/s]
 
 
 def _way_of_counting(values: FloatArray) -> str:

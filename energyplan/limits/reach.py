@@ -107,7 +107,7 @@ class Steady:
             if top.max() > 1e3:
                 raise InvalidInputError(
                     "nothing limits the speed; give the vehicle's motor a speed or a power limit, "
-                    "as in motor=MotorLimits(speed=1.5)"
+                    "such as a speed of 1.5 m/s"
                 )
             top = np.where(growing, 2 * top, top)
         rate = largest_within(use, top)

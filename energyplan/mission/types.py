@@ -960,18 +960,23 @@ class Mission(ReadOnly, html.Readable):
 
     def _free_goals(self) -> None:
         """Give each task with a choice of poses one at which the robot is free, if there is one."""
-        tasks = list(self.tasks)
+        tasks, notes = list(self.tasks), list(self.notes)
         for k, task in enumerate(tasks):
-            if (
-                task.goals
-                and task.pose
-                and not self.free_map.footprint_free(task.pose, self.vehicle)
-            ):
-                poses = np.concatenate([goal.samples(_HEADINGS, _AROUND) for goal in task.goals])
-                free = poses[self.free_map.footprint_free(poses, self.vehicle)]
-                if len(free):
-                    tasks[k] = replace(task, pose=Pose(*free[0].tolist()))
+            if not task.goals or task.pose is None:
+                continue
+            several = [goal.samples(_HEADINGS, _AROUND) for goal in task.goals]
+            free = [each[self.free_map.footprint_free(each, self.vehicle)] for each in several]
+            found = np.concatenate(free)
+            if len(found) and not self.free_map.footprint_free(task.pose, self.vehicle):
+                tasks[k] = replace(task, pose=Pose(*found[0].tolist()))
+            notes += (
+                f"task {task.name!r}: {goal.describe()} is left out, for there the robot touches "
+                "an obstacle or leaves the map"
+                for goal, each in zip(task.goals, free, strict=True)
+                if len(found) and not len(each)
+            )
         object.__setattr__(self, "tasks", tuple(tasks))
+        object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
     def _check_poses(self) -> None:
         places: list[tuple[str, Pose, tuple[str | int, ...]]] = [("start", self.start, ("start",))]

@@ -9,10 +9,9 @@ with the margin of planning: a path that touches obstacles may be free or not by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
-from math import inf
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +21,18 @@ from energyplan.path import Path, Pose
 from energyplan.planning.budget import SHARES, UNITS, Budget
 from energyplan.planning.driven import Candidate
 from energyplan.planning.problem import KEPT, LEAVING, PlanningProblem, free_beside
-from energyplan.planning.search.narrow.ends import Ends, ways_out
+from energyplan.planning.search.narrow.escape import NOTHING, ways_out
 from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.space.compiled import CompiledProblem, Segments, compiled, merged
 from energyplan.planning.space.configurations import grown
-from energyplan.planning.space.cost_to_go import cost_at_start, cost_to_go, regions_for
-from energyplan.planning.space.motions import steering_cost
+from energyplan.planning.space.cost_to_go import (
+    CostToGo,
+    cost_at_start,
+    cost_to_go,
+    reached,
+    regions_for,
+)
+from energyplan.planning.space.motions import KernelProblem, steering_cost
 from energyplan.terrain.collision import Body
 
 _FAR = (1.0, 2.0, 4.0, 8.0)  # how far from an end paths are refined for what room is there [sizes]
@@ -64,48 +69,148 @@ def checked_ends(problem: PlanningProblem) -> CheckedEnds:
     return CheckedEnds(problem, bare, tuple(notes))
 
 
-class Between(NamedTuple):
-    """The problem between poses that have clearance and margin, and the ways to these poses."""
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Where searches begin and end, and the motions between there and the problem's own ends.
 
-    problem: PlanningProblem  # what a planner is to solve
-    ways: Ends | None = None  # from the start and to the goal; None where these have both
+    The outer ways lead to where the whole clearance is kept, and the margin; the inner ones on to
+    where there is room to turn. The outer ones are free as they are, not if cut elsewhere.
+    """
+
+    of: CompiledProblem  # the problem
+    out: Segments = NOTHING  # outer way from the start
+    back: Segments = NOTHING  # outer way to the goal
+    inner: tuple[Segments, Segments] = (NOTHING, NOTHING)
+
+    @property
+    def query(self) -> CompiledProblem:
+        """The problem that searches solve: of least energy, even for the shortest path."""
+        return self.of.leading
+
+    @property
+    def lacking(self) -> bool:
+        """Whether there are outer ways."""
+        return len(self.out.ds) + len(self.back.ds) > 0
+
+    @property
+    def moved(self) -> bool:
+        """Whether searches begin or end elsewhere than the problem does."""
+        return self.lacking or sum(len(way.ds) for way in self.inner) > 0
+
+    @cached_property
+    def paths(self) -> tuple[Path, Path]:
+        """The outer ways, as paths."""
+        return self._paths(self.of.problem, self.out, self.back)
+
+    def _paths(self, problem: PlanningProblem, *ways: Segments) -> tuple[Path, Path]:
+        """Return the path from a problem's start, and the one into its goal."""
+        out, back = (self.query.reference(*way) for way in ways)
+        longitudinal = problem.cost.icr.longitudinal
+        away = Path(problem.goal, -back.ds[::-1], -back.dtheta[::-1], longitudinal)
+        return (
+            Path(problem.start, out.ds, out.dtheta, longitudinal),
+            Path(away.end, back.ds, back.dtheta, longitudinal),
+        )
+
+    @cached_property
+    def problem(self) -> PlanningProblem:
+        """The problem between the outer ways."""
+        out, back = self.paths
+        return replace(self.of.strict, start=out.end, goal=back.start)
+
+    def setting(self, query: CompiledProblem) -> KernelProblem:
+        """Return the kernels' problem between the outer ways, with the margin where it fits."""
+        return _between(query, self.problem.start, self.problem.goal)
+
+    @cached_property
+    def between(self) -> KernelProblem:
+        """The kernels' problem between the inner ways, with the margin where it fits."""
+        out, back = self._paths(self.problem, *self.inner)
+        return _between(self.query, out.end, back.start)
+
+    @cached_property
+    def to_go(self) -> CostToGo:
+        """The cost-to-go between the inner ways."""
+        return cost_to_go(self.between)
+
+    @cached_property
+    def cost(self) -> float:
+        """Cost of the outer ways, less the potential."""
+        query, total = self.query, 0.0
+        for path, way in zip(self.paths, (self.out, self.back), strict=True):
+            start, goal = query.centre(path.start), query.centre(path.end)
+            if len(path):
+                total += Refiner(query.setting._replace(start=start, goal=goal), way).cost
+        return total
+
+    def whole(self, found: Segments) -> Segments:
+        """Return motions between the inner ways with these."""
+        return chained(self.inner[0], found, self.inner[1])
+
+    def path(self, query: CompiledProblem, found: Segments) -> Path:
+        """Return the path from start to goal by motions between the outer ways."""
+        return self.around(query.path(found, self.problem.start))
 
     def solved(
-        self,
-        problem: PlanningProblem,
-        budget: Budget,
-        solve: Callable[[PlanningProblem, Budget], Candidate],
-        known: Sequence[Path],
+        self, solve: Callable[[PlanningProblem, Budget], Candidate], budget: Budget
     ) -> Candidate:
-        """Solve it, and return what that gives from start to goal; no known path costs less."""
-        if self.ways is None:
-            return solve(self.problem, budget)
+        """Return what a planner gives between these ends, with the ways there."""
+        problem = self.of.strict
+        if not self.lacking:
+            return solve(problem, budget)
         found = solve(self.problem, budget.part(SHARES.stage))
-        path = whole = self.ways.around(found.path)
-        if not problem.ends_clear:
-            path = _refined_at_ends(problem, self.ways, whole, budget)
-        elif problem.fault(path := self.ways.refined(found.path, budget)):
-            path = whole
-        free = [one for one in known if problem.fault(one) is None]
-        # other paths that were found begin and end elsewhere
-        best = min([path, *free], key=self.ways.query.value)
-        if fault := problem.fault(best):
+        path = refined_at_ends(self, self.around(found.path), budget)
+        if fault := problem.fault(path):
             raise InvalidPathError(f"with its ways from the start and to the goal this is {fault}")
-        return Candidate(best, first_time=found.first_time)
+        return Candidate(path, first_time=found.first_time)
+
+    def around(self, inner: Path) -> Path:
+        """Return the path from the problem's start to its goal by one between the outer ways."""
+        out, back = self.paths
+        ds, dtheta = chained(out, inner, back)
+        return replace(inner, start=out.start, ds=ds, dtheta=dtheta)
 
 
-def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
-    """Return what to plan between: start and goal, or poses near them with more room."""
-    if problem.ends_clear and compiled(problem).ends_have_margin:
-        return Between(problem)
+def _between(query: CompiledProblem, start: Pose, goal: Pose) -> KernelProblem:
+    """Return the kernels' problem between two poses, with the margin where both have it."""
+    body = query.grown if query.has_margin(start) and query.has_margin(goal) else query.body
+    return query.setting._replace(body=body, start=query.centre(start), goal=query.centre(goal))
+
+
+def chained(*parts: Segments | Path) -> Segments:
+    """Return several motions, one after the other."""
+    ds, dtheta = zip(*((part.ds, part.dtheta) for part in parts), strict=True)
+    return Segments(np.concatenate(ds), np.concatenate(dtheta))
+
+
+def find_ends(problem: PlanningProblem, budget: Budget, *, turning: bool = True) -> Ends:
+    """Return where to search between: at start and goal, or near them where there is more room.
+
+    There is the whole clearance, and the margin, and room to turn as well if that matters.
+    """
+    found = _with_clearance(problem, budget)
+    if not turning:
+        return found
+    inner = compiled(found.problem) if found.lacking else found.of
+    for ways in ways_out(inner.leading, budget.part(SHARES.aside)):
+        more = replace(found, inner=ways)
+        if _reached(more, budget):
+            return more
+    if not found.lacking:
+        _reached(found, budget)
+    return found
+
+
+def _with_clearance(problem: PlanningProblem, budget: Budget) -> Ends:
+    """Return ends that have the whole clearance, and the margin if there is any room for it."""
     if problem.ends_clear:
-        found = _joined_ways(problem, CompiledProblem(problem), budget)
-        return found or Between(problem)
+        ends = Ends(compiled(problem))
+        return ends if ends.of.ends_have_margin else _best_ways(problem, ends.of, budget) or ends
     there_is = problem.clearance_at_ends
     # as near to obstacles as the ends are, but for what turning takes; nearer where that is in vain
     for clearance in dict.fromkeys([max(there_is - _SWING, 0.0), 0.0]):
-        query = CompiledProblem(replace(problem, clearance=clearance), problem.clearance)
-        if found := _joined_ways(problem, query, budget):
+        query = CompiledProblem(replace(problem, clearance=clearance), problem)
+        if found := _best_ways(problem, query, budget):
             return found
     raise NoPathError(
         f"no way was found from start and goal to where the clearance of {problem.clearance:g} m "
@@ -113,41 +218,49 @@ def between_clear_ends(problem: PlanningProblem, budget: Budget) -> Between:
     )
 
 
-def _joined_ways(
-    problem: PlanningProblem, query: CompiledProblem, budget: Budget
-) -> Between | None:
+def _reached(ends: Ends, budget: Budget) -> bool:
+    """Return whether the poses tested join two ends; what that takes depends on the map."""
+    budget.beside(lambda: regions_for(ends.between))
+    budget.spend_on_map(ends.to_go.work / UNITS.nodes)
+    return reached(ends.to_go, ends.between)
+
+
+def _best_ways(problem: PlanningProblem, of: CompiledProblem, budget: Budget) -> Ends | None:
     """Return the ways that promise the least cost on the whole, of those from one end or both."""
     size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
-    found: list[tuple[bool, bool, float, Between]] = []
-    for ways in ways_out(query, budget.part(SHARES.aside), turn=0.0):
-        inner = replace(ways.problem, clearance=problem.clearance)
-        if not (ways.moved and inner.ends_clear and all(map(problem.allows, ways.paths))):
+    found: list[tuple[bool, bool, float, Ends]] = []
+    # ways of little cost; where none is found, short ones to where there is room to turn
+    tried = ways_out(of.leading, budget.part(SHARES.aside), turn=0.0)
+    tried = tried or ways_out(of.leading, budget.part(SHARES.aside))
+    for ways in tried:
+        ends = Ends(of, *ways)
+        inner, setting = ends.problem, ends.between
+        if not (inner.ends_clear and all(map(problem.allows, ends.paths))):
             continue
-        setting = compiled(inner).leading.setting
-        if not found:
-            budget.beside(partial(regions_for, setting))
-        to_go = cost_to_go(setting)
-        budget.spend_on_map(to_go.work / UNITS.nodes)
-        far = cost_at_start(to_go, setting) * setting.least_metre
+        far = np.inf if not _reached(ends, budget) else cost_at_start(ends.to_go, setting)
+        far *= setting.least_metre
         least = steering_cost(setting, setting.start, setting.goal)
-        cost = sum(query.value(path) for path in ways.paths) + max(far, least)
+        cost = sum(ends.query.value(path) for path in ends.paths) + max(far, least)
         soon = all(np.hypot(*np.subtract(*ends)) <= LEAVING * size for ends in (
             (inner.start[:2], problem.start[:2]), (inner.goal[:2], problem.goal[:2])
         ))  # fmt: skip
-        found.append((far == inf, not soon, cost, Between(inner, ways)))
+        found.append((far == np.inf, not soon, cost, ends))
     # if none of them is joined, the planner says why
     return min(found, key=lambda one: one[:3])[-1] if found else None
 
 
-def _refined_at_ends(problem: PlanningProblem, ways: Ends, path: Path, budget: Budget) -> Path:
+def refined_at_ends(ends: Ends, path: Path, budget: Budget) -> Path:
     """Refine a path where it leaves or reaches an end that lacks clearance, by what room it has."""
-    query, best = ways.query, path
+    query, best = ends.of, path
+    problem = query.strict
+    if problem.ends_clear and query.ends_have_margin:
+        return path
     spare = problem.clearance_at_ends - query.problem.clearance
-    room = [grown(query.body, share * spare) for share in KEPT]
+    room = dict.fromkeys(grown(query.body, share * spare) for share in KEPT)
     size = float(np.hypot(*np.ptp(problem.robot.footprint, axis=0)))
     for _ in range(_ROUNDS):
         before = query.value(best)
-        for goal, way in enumerate((ways.out, ways.back)):
+        for goal, way in enumerate((ends.out, ends.back)):
             for far in _FAR if len(way.ds) else ():
                 fine = best.subdivide(_PIECE * size, _PIECE)
                 along = np.concatenate([[0.0], np.cumsum(np.abs(fine.ds))])

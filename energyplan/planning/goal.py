@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin
+from math import copysign, cos, hypot, pi, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -124,6 +124,18 @@ class Goal:
         )
         return Pose(self.x + part * (pose.x - self.x), self.y + part * (pose.y - self.y), yaw)
 
+    def first_from(self, pose: Pose) -> FloatArray:
+        """Return the poses of it nearest to another, and where that first is straight ahead."""
+        near = self.nearest(pose)
+        found = [(near.x, near.y, yaw) for yaw in self.headings or (pose.yaw,)]
+        c, s = cos(pose.yaw), sin(pose.yaw)
+        dx, dy = self.x - pose.x, self.y - pose.y
+        ahead, aside = c * dx + s * dy, c * dy - s * dx
+        if self.yaw is None and abs(aside) < self.radius < hypot(dx, dy):
+            ahead -= copysign(sqrt(self.radius**2 - aside**2), ahead)
+            found.append((pose.x + c * ahead, pose.y + s * ahead, pose.yaw))
+        return np.array(found)
+
     def describe(self) -> str:
         """Say what it is."""
         where = f"({self.x:g}, {self.y:g})"
@@ -161,7 +173,11 @@ def as_goals(value: Any, heading: str = "", radius: float = 0.0) -> tuple[Goal, 
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
         texts = [one for one in value if isinstance(one, str)]
         pose = len(texts) == len(value) in (2, 3) and not any("," in text for text in texts)
-        if not pose and all(isinstance(one, Goal | str | Mapping) or np.ndim(one) for one in value):
+        if (
+            len(value)
+            and not pose
+            and all(isinstance(one, Goal | str | Mapping) or np.ndim(one) for one in value)
+        ):
             return tuple(goal for one in value for goal in as_goals(one, heading, radius))
     if isinstance(value, Goal):
         return (value,)
@@ -192,6 +208,8 @@ def _goal_at(value: Any, heading: str, radius: float) -> Goal:
         )
     if count == 2:
         if heading not in ("", "any"):
+            if heading != "either":
+                Goal(0.0, 0.0, 0.0, heading)  # which says what a heading may be
             raise InvalidInputError(
                 f"goal {described(value)} has no yaw, and its heading is to be {heading}; write "
                 "X,Y,YAW, or give the heading any"

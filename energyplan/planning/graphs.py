@@ -12,13 +12,14 @@ direction of the edge; its cost includes the mean of the turns that may follow i
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from itertools import pairwise
 from math import inf
 from operator import add
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import networkx as nx
 import numpy as np
@@ -45,6 +46,8 @@ from energyplan.planning.space.compiled import Segments, compiled, merged
 from energyplan.planning.space.prices import Prices
 from energyplan.records import NO_NUMBER
 from energyplan.terrain import SurfaceMap, path_price
+
+R = TypeVar("R")
 
 Graph = Any
 """A networkx graph of any kind, directed or not; its nodes carry ``pos`` or ``x`` and ``y`` [m]."""
@@ -359,11 +362,52 @@ class Route:
     cost: float  # the objective's value
 
 
+class _EndYaws(NamedTuple):
+    """Yaws that a route may begin and end with [rad]; none where all are allowed."""
+
+    first: tuple[float, ...]
+    last: tuple[float, ...]
+
+
 @dataclass(frozen=True, eq=False)
-class Roadmap:
+class _Routed(ABC, Generic[R]):
+    """A graph of places on which routes are found."""
+
+    graph: Graph  # of places
+
+    @cached_property
+    def _places(self) -> dict[Hashable, tuple[float, float]]:
+        return positions(self.graph)
+
+    def route(
+        self,
+        source: Hashable,
+        target: Any,
+        *,
+        start_yaw: float | None = None,
+        goal_yaw: float | None = None,
+        start_heading: str = "",
+        goal_heading: str = "",
+    ) -> R:
+        """Return the route from one node to another, or to one of a list, whose objective is least.
+
+        At both ends a yaw may be given [rad], and its heading as in `Goal`: ``"given"``,
+        ``"either"`` for it or its opposite, or ``"any"``, which it is without a yaw.
+        """
+        targets = _targets(self.graph, source, target)
+        first = _end_yaws("the start", self._places[source], start_yaw, start_heading)
+        last = _end_yaws("the goal", self._places[targets[0]], goal_yaw, goal_heading)
+        return self._route(source, targets, _EndYaws(first, last))
+
+    @abstractmethod
+    def _route(self, source: Hashable, targets: Sequence[Hashable], ends: _EndYaws) -> R:
+        """Return the route from a node to one of others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap(_Routed[Route]):
     """A graph of places, priced for a robot."""
 
-    graph: Graph
     cost: EnergyCost  # cost of motions
     surfaces: SurfaceMap | None = None  # surfaces with power models of their own
     reverse: bool = True  # whether the robot may drive backwards
@@ -381,10 +425,6 @@ class Roadmap:
             self.graph, self.cost, surfaces=self.surfaces, reverse=self.reverse,
             radius=self.radius, objective=self.objective,
         )  # fmt: skip
-
-    @cached_property
-    def _places(self) -> dict[Hashable, tuple[float, float]]:
-        return positions(self.graph)
 
     def _yaw(self, state: DrivenEdge) -> float:
         """Return the robot's yaw while it drives a state [rad]."""
@@ -406,24 +446,9 @@ class Roadmap:
             default=(0.0, yaw),
         )
 
-    def route(
-        self,
-        source: Hashable,
-        target: Any,
-        *,
-        start_yaw: float | None = None,
-        goal_yaw: float | None = None,
-        start_heading: str = "",
-        goal_heading: str = "",
-    ) -> Route:
-        """Return the route from one node to another, or to one of a list, whose objective is least.
-
-        At both ends a yaw may be given [rad], and its heading as in `Goal`: ``"given"``,
-        ``"either"`` for it or its opposite, or ``"any"``, which it is without a yaw.
-        """
-        targets = _targets(self.graph, source, target)
-        first = _end_yaws("the start", self._places[source], start_yaw, start_heading)
-        last = _end_yaws("the goal", self._places[targets[0]], goal_yaw, goal_heading)
+    def _route(self, source: Hashable, targets: Sequence[Hashable], ends: _EndYaws) -> Route:
+        """Return the motions from node to node, straight and with rounded corners."""
+        first, last = ends
         states: list[DrivenEdge] = []
         if source not in targets:
             known = self.states
@@ -514,39 +539,24 @@ class ClosedEdge(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedGraph:
-    """A graph whose edges were planned among obstacles."""
+class PlannedGraph(_Routed[Path]):
+    """A graph whose edges were planned among obstacles; those that are closed are left out."""
 
-    graph: Graph  # the graph less the edges that are closed [J]
     paths: dict[DrivenEdge, Path]  # what is driven on each edge, by direction
     energies: dict[DrivenEdge, float]  # what that takes [J]
     turns: dict[tuple[DrivenEdge, DrivenEdge], float]  # [J]
     closed: tuple[ClosedEdge, ...]  # the edges that no path was found for
     problem: PlanningProblem  # whose robot, ground and objective hold
 
-    def route(
-        self,
-        source: Hashable,
-        target: Any,
-        *,
-        start_yaw: float | None = None,
-        goal_yaw: float | None = None,
-        start_heading: str = "",
-        goal_heading: str = "",
-    ) -> Path:
-        """Return the path of least energy along planned edges to a node, or to one of a list.
+    def _route(self, source: Hashable, targets: Sequence[Hashable], ends: _EndYaws) -> Path:
+        """Return the path along planned edges whose energies and turns add up to the least.
 
-        Yaws and headings at the ends are as in `Roadmap.route`. The edges are those whose energies
-        and turns on the spot add up to the least. Along them the robot passes each place at the
-        heading that takes least: exact motions replace an edge and its turns where these are free
-        and take less.
+        Along them the robot passes each place at the heading that takes least: exact motions
+        replace an edge and its turns where these are free and take less.
         """
-        targets = _targets(self.graph, source, target)
         if source in targets:
             raise InvalidInputError(f"the route from {source!r} leads to itself; give two places")
-        place = positions(self.graph)
-        first = _end_yaws("the start", place[source], start_yaw, start_heading)
-        last = _end_yaws("the goal", place[targets[0]], goal_yaw, goal_heading)
+        first, last = ends
         states: nx.DiGraph[DrivenEdge] = nx.DiGraph()
         states.add_nodes_from(self.energies)
         for (here, ahead), energy in self.turns.items():

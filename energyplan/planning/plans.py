@@ -79,6 +79,9 @@ class Planner:
     bound : bool
         Whether it returns a lower bound. For one that does not, a tenth of the budget is kept for
         computing one.
+    ends : bool
+        Whether it leaves and reaches ends that lack clearance. One that does not plans between
+        poses near them that have it.
 
     Raises
     ------
@@ -95,6 +98,7 @@ class Planner:
     costmap: bool = False
     turning: bool = False
     forwards: bool = False
+    ends: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self, InvalidInputError)
@@ -505,7 +509,7 @@ PLANNERS = {
     "lattice": Planner(
         "energyplan.planning.search.planner:plan",
         surfaces=True, heights=True, objectives=OBJECTIVES, effort=True, bound=True,
-        costmap=True, turning=True, forwards=True,
+        costmap=True, turning=True, forwards=True, ends=True,
     ),
     **{
         name: Planner(
@@ -687,16 +691,12 @@ def _planned(
 ) -> Plan:
     """Plan between two poses within a budget, and check and price what comes of it."""
     from energyplan.planning.bound import lower_bound
-    from energyplan.planning.ends import between_clear_ends
-    from energyplan.planning.search.planner import prepare
+    from energyplan.planning.ends import find_ends
 
     problem = ends.problem
     given = budget if declared.bound else budget.part(1.0 - SHARES.aside)
-    between = between_clear_ends(problem, given)
 
     def solve(inner: PlanningProblem, own: Budget) -> Candidate:
-        if inner is not problem:
-            own.beside(lambda: prepare(inner, guided=declared.bound))
         with _blaming(name):
             found = declared.function(inner, own, **options)
         if not isinstance(found, Candidate):
@@ -713,11 +713,14 @@ def _planned(
         # nobody believes it of others
         return found if declared in PLANNERS.values() else replace(found, driven=None)
 
-    found = between.solved(problem, given, solve, options.get("initial", ()))
+    if declared.ends:
+        found = solve(problem, given)
+    else:
+        found = find_ends(problem, given, turning=False).solved(solve, given)
     query = compiled(ends.bare)
     bound = found.lower_bound
     if bound is None:
-        value, _ = lower_bound(query, query.value(found.path))
+        value = lower_bound(query, query.value(found.path)).value
         bound = query.potential(problem.goal) + value
     return priced_plan(query, found, bound, name, budget, problem=problem, notes=ends.notes)
 

@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from energyplan import steering
 from energyplan.errors import EnergyPlanError, InvalidInputError
 from energyplan.path import Path, Pose, as_pose, wrap_angle
-from energyplan.planning.budget import Budget, plan_budget
+from energyplan.planning.budget import plan_budget
 from energyplan.planning.driven import Candidate
-from energyplan.planning.ends import between_clear_ends, checked_ends
+from energyplan.planning.ends import checked_ends
 from energyplan.planning.plans import Plan, plan, priced_plan
 from energyplan.planning.problem import KEPT, PlanningProblem, missed
 from energyplan.planning.search import planner as lattice
@@ -191,12 +191,7 @@ def replan(
         return plan(now, time_limit=time_limit, effort=effort, initial=known)
     else:
         known = [] if rest is None else [rest]
-
-        def solve(inner: PlanningProblem, own: Budget) -> Candidate:
-            least = compiled(inner).least_in_free_space  # without a bound among obstacles
-            return lattice.plan(inner, own, initial=known, bound=least)
-
-        found = between_clear_ends(now, budget).solved(now, budget, solve, known)
+        found = lattice.plan(now, budget, initial=known, bound=query.least_in_free_space)
         planner = "lattice"
     return priced_plan(query, found, bound, planner, budget, problem=now, notes=ends.notes)
 

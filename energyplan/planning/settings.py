@@ -288,6 +288,8 @@ class BoundSearch(NamedTuple):
     # lengths over the straight line's for which outlines are prepared
     detours: tuple[float, float] = (1.1, 2.0)
     beyond: float = 1.001  # cost over the best path's up to which it is searched for [1]
+    regions: int = 400  # discs into which one about a goal is divided at most
+    smaller: float = 0.5  # radius of the disc in the body beside obstacles at the goal [1]
 
 
 BOUND = BoundSearch()

@@ -187,11 +187,11 @@ def _routed(
     return found or [Aim(inf, goal, middle)]
 
 
-def none_free(problem: PlanningProblem) -> PlanningError:
-    """Return the error that says that the robot can be at no pose of the goals."""
-    grid = problem.terrain.obstacles
-    inside = [goal for goal in problem.goals if bool(grid.inside((goal.x, goal.y)))]
-    what = " and ".join(goal.describe() for goal in problem.goals)
+def none_free(problem: PlanningProblem, goals: Sequence[Goal] = ()) -> PlanningError:
+    """Return the error that says that the robot can be at no pose of the goals, or of some."""
+    grid, goals = problem.terrain.obstacles, goals or problem.goals
+    inside = [goal for goal in goals if bool(grid.inside((goal.x, goal.y)))]
+    what = " and ".join(goal.describe() for goal in goals)
     if not inside:
         return OutsideMapError(
             f"the goal {what} lies outside the map; it covers {grid.describe_extent()}"
@@ -311,10 +311,12 @@ def _finished(
         found = min(found, again, key=lambda one: one.cost)
     plan = found.plan
     of = replace(problem, start=plan.path.start, goal=plan.path.end)
+    closed = [none_free(problem, [one]) for one in problem.goals if one not in goals]
+    notes = (*(f"left out: {one}" for one in closed), *plan.notes, *budget.notes)
     return replace(
         plan, problem=of, lower_bound_steady=min(bounds.values()),
         effort=round(budget.spent), effort_limit=budget.effort, planning_time=budget.elapsed,
-        stopped=bool(budget.notes), notes=tuple(dict.fromkeys((*plan.notes, *budget.notes))),
+        stopped=bool(budget.notes), notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
@@ -418,12 +420,20 @@ def ended(
         pose = Pose(*fine.vertices[late[inside[0]]].tolist())
         best = _End(float(came[late[inside[0]]]), inside[0], pose, nothing)
     ends = goal.samples(SEVERAL.headings, SEVERAL.around, path.end.yaw)
-    turn = 2.0 * np.pi / SEVERAL.headings
+    ends = np.concatenate([ends, goal.first_from(path.start)])
+    turn, step = 2.0 * np.pi / SEVERAL.headings, 0.5 * goal.radius
+    if goal.headings and goal.radius:  # turning to a heading may take room before the edge
+        ends = np.concatenate(
+            [ends, replace(goal, radius=step).samples(1, SEVERAL.around, path.end.yaw)]
+        )
     for _ in range(SEVERAL.zooms if not goal.headings or goal.radius else 1):
         best = ways.cheapest(ends, best)
-        if goal.headings:
-            break
         x, y, yaw = best.pose
+        if goal.headings:
+            step *= 0.5
+            ends = Goal(x, y, yaw, radius=step).samples(1, SEVERAL.around)
+            ends = ends[np.hypot(ends[:, 0] - goal.x, ends[:, 1] - goal.y) <= goal.radius]
+            continue
         turns = turn * (np.arange(2 * SEVERAL.parts + 1) / SEVERAL.parts - 1.0)
         ends = np.column_stack([np.full(len(turns), x), np.full(len(turns), y), yaw + turns])
         turn /= SEVERAL.parts

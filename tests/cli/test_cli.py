@@ -117,6 +117,19 @@ def test_the_same_route_twice_is_told_of_once(run: Run) -> None:
     assert result.err.count("the path has no length") == 1
 
 
+def test_why_routes_cannot_be_timed_is_said_once_for_a_vehicle_s_file(
+    run: Run, tmp_path: Path
+) -> None:
+    model = PowerModel.preset(CONCRETE)
+    free = replace(model.vehicle, motor=ep.MotorLimits())
+    write_model(replace(model, name="own", vehicle=free), tmp_path / "own.yaml")
+    result = run("compare", *OFFICE[:2], "--model", tmp_path / "own.yaml", "--start",
+                 "3.1,3,90deg", "--goal", "15,9,0", "--effort", 1000)  # fmt: skip
+    assert result.code == 0
+    assert result.err.count("nothing limits the speed; give the vehicle's motor a speed") == 1
+    assert "MotorLimits(" not in result.err
+
+
 def test_range_tells_how_far_an_energy_leads(run: Run, tmp_path: Path) -> None:
     asc, areas, picture = (tmp_path / f"range.{end}" for end in ("asc", "geojson", "svg"))
     options = ("range", *OFFICE, "--json")

@@ -65,6 +65,18 @@ def test_one_of_several_docks_is_chosen():
     near, far = (5.0, 2.5, 0.5), (15.0, 9.0, 0.0)
     found = evaluate(mission([[far, near]]))
     assert found.mission.tasks[0].pose == pytest.approx(near)
+    assert found.warnings == evaluate(mission([near])).warnings
+
+
+def test_a_pose_of_several_at_which_the_robot_cannot_stand_is_named():
+    """One in a wall, or beyond the map, is no hindrance, but the answer says so."""
+    found = evaluate(mission([[(7.1, 4.0), (5.0, 2.5, 0.5), (99.0, 2.0)]], walls=True))
+    assert found.feasible
+    said = [note for note in found.warnings if "is left out" in note]
+    assert [note.split(" at any")[0] for note in said] == [
+        "task 't0': (7.1, 4)",
+        "task 't0': (99, 2)",
+    ]
 
 
 def test_a_place_whose_headings_are_closed_in_part():
@@ -87,11 +99,13 @@ def test_places_in_python_and_in_files():
     assert Task(name="a", pose=[4, 2, 1.0], heading="any").goals == (Goal(4, 2),)
     assert len(Task("a", [(4.0, 2.0), (5.0, 2.0, 0.0)]).goals) == 2
     assert replace(from_python, dwell=5.0).goals == from_python.goals
-    for wrong in ((4.0,), "4", [(4.0, 2.0), "x"]):
+    for wrong in ((4.0,), "4", [(4.0, 2.0), "x"], [], [(4.0, 2.0), []]):
         with pytest.raises(MissionError):
             Task("a", wrong)
     with pytest.raises(MissionError, match="heading is to be either"):
         Task(name="a", pose=(4.0, 2.0), heading="either")
+    with pytest.raises(MissionError, match="one of given, either, any"):
+        Task(name="a", pose=(4.0, 2.0), heading="sideways")
 
 
 def test_goals_of_a_missions_file():

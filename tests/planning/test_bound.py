@@ -372,7 +372,7 @@ def ways(grid, radius, start, goal, limit=1e3, effort=np.inf, detail=DETAILS[0])
     ends = DiscEnds(*start, *goal)
     paid = np.zeros(len(drawn.point), bool)
     links = no_links(len(drawn.point))
-    return ways_to_goal(grid.space, drawn, links, paid, ends, EUCLIDEAN, limit, effort)
+    return ways_to_goal(grid.space, drawn, links, paid, ends, EUCLIDEAN, limit, effort, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -601,7 +601,7 @@ def test_least_steps_agree_with_networkx():
     for goal in ((10, 13), (2, 12), (11, 1)):
         around = product(*((n - 1, n, n + 1) for n in goal))
         near = min(lengths.get(cell, np.inf) for cell in around)
-        given = (step, passable, 1, 1, *goal, 1e9)
+        given = (step, passable, 1, 1, *goal, 1e9, 0.0)
         assert least_steps(*given) == pytest.approx(near)
         assert least_steps.py_func(*given) == pytest.approx(near)
 

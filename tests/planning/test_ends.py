@@ -58,3 +58,10 @@ def test_a_start_in_a_corner_is_not_refused(clearance_there):
     problem = PlanningProblem(grid, COST, start, goal, clearance=0.6)
     found = plan(problem, effort=3_000)
     assert problem.fault(found.path) is None
+
+
+def test_the_shortest_path_from_beside_a_wall_is_known_as_well():
+    problem = beside_a_wall(0.05, 0.3)
+    found = plan(problem, effort=3_000)
+    assert problem.fault(found.shortest) is None
+    assert found.shortest.length <= found.path.length

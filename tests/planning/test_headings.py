@@ -333,3 +333,34 @@ def test_what_holds_for_any_heading_refuses_a_term_that_reads_it():
         CROP.per_metre(0.0, speed=0.5)
     along = replace(CROP, channels={"yaw": 0.0})
     assert float(ep.steering.energy((0, 0, 0), (1, 0, 0), along)) == pytest.approx(2 * K)
+
+
+@pytest.mark.parametrize("size", [200.0, 300.0])
+def test_a_zigzag_along_two_axes_pays_for_the_turns_between_them(size):
+    """Its bound knows them, and stays below the best of all zigzags along two directions."""
+    cost, (start, goal) = ep.EnergyCost(depending(axes, size)), ((3, 3, 1.09), (10, 12, 1.09))
+    problem = ep.PlanningProblem(HALL, cost, start, goal)
+    query = compiled(problem)
+    bound = lower_bound(query, 1e9).value
+    along, across = np.abs(
+        np.array([[np.cos(a), np.sin(a)] for a in (0.3, 0.3 + np.pi / 2)]) @ [7, 9]
+    )
+    metres = query.least.metre * (along + across)
+    assert bound > metres + 0.9 * query.least.radian * np.pi / 2
+    for turn in np.arange(0.0, np.pi, np.pi / 36):
+        ways = [(0.3 + turn, 0.3 + np.pi / 2), (0.3 + turn, 0.3 + turn + np.pi / 2)]
+        for one, two in ways:
+            basis = np.array([[np.cos(one), np.cos(two)], [np.sin(one), np.sin(two)]])
+            if abs(np.linalg.det(basis)) < 0.1:
+                continue
+            lengths, yaw, moves = np.linalg.solve(basis, [7, 9]), 1.09, []
+            for way, length in zip((one, two), lengths, strict=True):
+                moves += [(0.0, wrap_angle(2 * (way - yaw)) / 2), (length, 0.0)]
+                # either end of the robot leads: the nearer turn
+                ahead = yaw + moves[-2][1]
+                moves[-1] = (length * np.sign(np.cos(ahead - way)), 0.0)
+                yaw = ahead
+            moves.append((0.0, wrap_angle(1.09 - yaw)))
+            path = ep.Path(start, *np.array(moves, float).T)
+            assert np.hypot(*np.subtract(path.end[:2], goal[:2])) < 1e-6
+            assert problem.terrain.price(path, cost).energy >= bound * (1 - 1e-9)

@@ -29,17 +29,18 @@ pytest.importorskip("fastapi", reason="the service needs the extra serve")
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
+def served(folder: Path, *options: str) -> Iterator[str]:
     """Serve a folder, and give the address of its page."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = ["-m", "energyplan", "serve", str(folder), "--port", str(port), "--no-token"]
+    options = options or ("--no-token",)
+    command = ["-m", "energyplan", "serve", str(folder), "--port", str(port), *options]
     server = subprocess.Popen([sys.executable, *command])
     try:
         for _ in range(600):
             try:
-                urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health", timeout=5)
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=5)
                 break
             except OSError:
                 assert server.poll() is None, "the service ended"
@@ -495,6 +496,19 @@ def test_a_click_is_a_place_and_its_ring_gives_a_heading(browser: Any, address: 
     assert len(planned(lambda: page.keyboard.press("q"))) == 3
     assert len(planned(lambda: page.keyboard.press("f"))) == 2
     assert opened.errors == []
+
+
+def test_an_address_without_its_token_is_explained(browser: Any, folder: Path) -> None:
+    """What the service says of it is for programs."""
+    with served(folder, "--token", "secret") as at:
+        page = browser.new_page()
+        page.goto(at)
+        page.wait_for_function("document.querySelector('#status').textContent")
+        assert page.inner_text("#status") == TEXTS["en"]["no_token"]
+        page.goto(f"{at}#token=secret")
+        page.reload()
+        page.wait_for_selector("select[name=map] option", state="attached")
+        page.close()
 
 
 def test_the_page_speaks_the_browsers_language_and_the_one_that_is_chosen(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from math import hypot, pi, remainder
+from math import asin, hypot, pi, remainder
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from energyplan.compilation import FloatTable, processors
 from energyplan.planning.bound.corners import DiscEnds, least_over_corners, ways_to_goal
-from energyplan.planning.bound.headings import EUCLIDEAN, heading_forces
+from energyplan.planning.bound.headings import EUCLIDEAN, heading_forces, least_of_sweeps
 from energyplan.planning.bound.line import Rates
 from energyplan.planning.bound.outline import DETAILS, Outline, Sights, sights
 from energyplan.planning.bound.surfaces import certain_regions, least_excess, least_of_metres
@@ -48,6 +48,24 @@ class Bound(NamedTuple):
 
     value: float
     final: bool
+    steps: float = 0.0  # of the searches over corners
+
+
+class Disc(NamedTuple):
+    """Where a path may end: within a disc about the goal's place, in which nothing is in the way.
+
+    The disc of the bound has to be free in all of it, or no path about obstacles leads on to its
+    middle.
+    """
+
+    around: float = 0.0  # its radius [m]
+    any_heading: bool = False
+    free: float | None = None  # least cost without obstacles, if that is known
+    radius: float | None = None  # of the disc in the footprint, where a smaller one is wanted [m]
+
+
+POSE = Disc()
+"""The goal itself."""
 
 
 def lower_bound(
@@ -55,35 +73,62 @@ def lower_bound(
     cost: float,
     effort: float = EFFORT,
     spent: Spent | None = None,
-    any_heading: bool = False,
+    target: Disc = POSE,
 ) -> Bound:
-    """Return a lower bound on the cost of every path from start to goal, there at any heading."""
+    """Return a lower bound on the cost of every path from the start to the goal, or near it."""
     setting = query.setting
-    free = least_at_any_heading(setting) if any_heading else free_energy(setting, setting.start)
-    radius = inscribed(query)
+    free = target.free
+    if free is None:
+        free = least_without_obstacles(setting, target)
+    radius = inscribed(query) if target.radius is None else target.radius
     limit = BOUND.beyond * cost
     if free >= limit or radius <= 0:
         return Bound(float(free), True)
     spent = {} if spent is None else spent
-    excess = least_excess(query, radius, limit)
+    excess = least_excess(query, radius, limit, target.around)
     forces = heading_forces(query)
     total = 0.0
     if forces is not None:
-        turn = 0.0 if any_heading else _turn(setting)
+        extent = partial(_least_extent, query.grid, setting, radius, target.around)
+        turn = 0.0 if target.any_heading else _turn(setting)
         total = setting.least_radian * turn
-        total += _least_extent(query.grid, setting, radius, forces.total, limit, effort, spent)
+        total += extent(forces.total, limit, effort, spent)
+        if target.around == 0.0:
+            total = max(total, least_of_sweeps(forces.price, setting, target.any_heading))
         if total >= limit:
             return Bound(total, True)
-        excess += _least_extent(query.grid, setting, radius, forces.excess, limit, effort, spent)
+        excess += extent(forces.excess, limit, effort, spent)
     # what expensive surfaces and headings add comes on top of the rates alone
     separate = setting if excess == 0.0 else _separate(setting)
-    direct = free if excess == 0.0 else _without_obstacles(setting, any_heading)
-    among, final = _among_obstacles(
-        query.grid, separate, radius, float(direct), limit - excess, effort, spent, any_heading
+    direct = free if excess == 0.0 else _paid_separately(setting, target)
+    among, final, steps = _among_obstacles(
+        query.grid, separate, radius, float(direct), limit - excess, effort, spent, target
     )
     share = 1.0 if forces is None else forces.rest
-    metres = least_of_metres(query, radius, limit)
-    return Bound(max(float(free), share * among + excess, metres, total), final)
+    metres = least_of_metres(query, radius, limit, target.around)
+    return Bound(max(float(free), share * among + excess, metres, total), final, steps)
+
+
+def least_without_obstacles(kernel: KernelProblem, target: Disc = POSE) -> float:
+    """Return a lower bound of the least cost without obstacles to a goal, or to a disc about it.
+
+    A path to a point of the disc, turned on the spot at its ends and with each of its metres
+    stretched alike, leads to the middle: that costs as much more at most.
+    """
+    dx, dy = kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y
+    away, around = hypot(dx, dy), target.around
+    turn = 0.0 if target.any_heading else _turn(kernel)
+    if away <= around:
+        return kernel.steering.per_radian * turn
+    if target.any_heading:
+        middle = least_at_any_heading(kernel)
+    else:
+        middle = float(free_energy(kernel, kernel.start))
+    if around == 0.0:
+        return middle
+    about = (1.0 if target.any_heading else 2.0) * asin(around / away)
+    less = (middle - kernel.steering.per_radian * about) * (1.0 - around / away)
+    return max(less, kernel.least_metre * (away - around) + kernel.least_radian * turn)
 
 
 def least_at_any_heading(kernel: KernelProblem) -> float:
@@ -141,15 +186,13 @@ def inscribed(query: CompiledProblem) -> float:
     return max(within, 0.0) - MARGIN * query.grid.resolution
 
 
-def _without_obstacles(kernel: KernelProblem, any_heading: bool = False) -> float:
-    """Return the least cost between the two poses where metres and radians are paid separately."""
+def _paid_separately(kernel: KernelProblem, target: Disc) -> float:
+    """Return the least cost without obstacles where metres and radians are paid separately."""
     metre, radian = kernel.least_metre, kernel.least_radian
     if radian <= metre * SHORT_TRACK:
-        return metre * hypot(kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y)
-    separate = _separate(kernel)
-    if any_heading:
-        return least_at_any_heading(separate)
-    return float(free_energy(separate, kernel.start))
+        away = hypot(kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y)
+        return metre * max(away - target.around, 0.0)
+    return least_without_obstacles(_separate(kernel), target)
 
 
 def _separate(kernel: KernelProblem) -> KernelProblem:
@@ -168,12 +211,14 @@ def _least_extent(
     grid: OccupancyGrid,
     kernel: KernelProblem,
     radius: float,
+    around: float,
     forces: FloatTable,
     limit: float,
     effort: float,
     spent: Spent,
 ) -> float:
     """Return the least extent of all ways of a disc from start to goal, at most the limit."""
+    largest = float(np.hypot(*forces.T).max())
     ends = DiscEnds(*kernel.start[:2], *kernel.goal[:2])
     found = sights(grid, radius, DETAILS[-1])
     found = sights(grid, radius, DETAILS[_finest(found.outline, ends, limit / kernel.least_metre)])
@@ -181,7 +226,7 @@ def _least_extent(
     with found.lock:
         ways = ways_to_goal(
             kernel.space, found.outline, found.links, paid, ends, forces, limit,
-            SHARES.stage * effort,
+            SHARES.stage * effort, around * largest,
         )  # fmt: skip
         found.links = ways.links
     return float(ways.least)
@@ -195,10 +240,10 @@ def _among_obstacles(
     cost: float,
     effort: float,
     spent: Spent,
-    any_heading: bool = False,
+    target: Disc,
 ) -> Bound:
     ends = DiscEnds(*kernel.start[:2], *kernel.goal[:2])
-    turn = 0.0 if any_heading else _turn(kernel)
+    turn = 0.0 if target.any_heading else _turn(kernel)
     # ways of that length cost more than the path that is known
     longest = (cost - kernel.least_radian * turn) / kernel.least_metre
     coarsest = sights(grid, radius, DETAILS[-1])
@@ -211,30 +256,40 @@ def _among_obstacles(
         kernel.goal.yaw,
         free,
         kernel.steering,
-        any_heading,
+        target.any_heading,
+        target.around,
     )
     paid = spent.setdefault(found, np.zeros(len(found.outline.point), bool))
     with found.lock:
         ways = ways_to_goal(
             kernel.space, found.outline, found.links, paid, ends, EUCLIDEAN, longest,
-            SHARES.stage * effort,
+            SHARES.stage * effort, target.around,
         )  # fmt: skip
         found.links = ways.links
-        left = effort - ways.steps
+        steps = float(ways.steps)
         value, final = 0.0, True
         # what steering takes at the ends comes second: it takes longer than the rest
         for steer in (False, True):
             least = least_over_corners(
-                kernel.space, true_body, found.outline, paid, ends, ways, rates, cost, left, steer
+                kernel.space,
+                true_body,
+                found.outline,
+                paid,
+                ends,
+                ways,
+                rates,
+                cost,
+                effort - steps,
+                steer,
             )
             # links that grew have moved
             found.links = least.links
             ways = ways._replace(links=found.links)
-            left -= least.steps
+            steps += least.steps
             value, final = max(value, float(least.value)), bool(least.final)
             if value >= cost or not final:
                 break
-    return Bound(value, final)
+    return Bound(value, final, steps)
 
 
 def _finest(coarsest: Outline, ends: DiscEnds, longest: float) -> int:

@@ -106,12 +106,14 @@ def ways_to_goal(
     forces: FloatTable,
     limit: float,
     effort: float,
+    around: float,
 ) -> Ways:
     """Return the shortest ways to the goal from all corners that a short way can touch, by A*.
 
     A string that is drawn taut is shortest of all ways about the same obstacles in every norm, for
     each norm of the plane is a sum of distances along some directions, and the string crosses no
-    line twice. So the corners at which it bends are the same, whatever measures its lines.
+    line twice. So the corners at which it bends are the same, whatever measures its lines. Ways end
+    as far from the goal as `around` says, in the measure of the lines.
     """
     n = len(outline.point)
     ux = ends.start_x
@@ -120,18 +122,21 @@ def ways_to_goal(
     at_goal = np.empty(n)
     to_goal = np.empty(n)
     expanded = np.empty(n, np.bool_)
-    steps = _seen_from(space, outline, forces, ux, uy, ends.goal_x, ends.goal_y, limit, from_start)
-    steps += _seen_from(space, outline, forces, ends.goal_x, ends.goal_y, ux, uy, limit, at_goal)
+    most = limit + around
+    steps = _seen_from(space, outline, forces, ux, uy, ends.goal_x, ends.goal_y, most, from_start)
+    steps += _seen_from(space, outline, forces, ends.goal_x, ends.goal_y, ux, uy, most, at_goal)
     direct = sight(space, outline, ux, uy, ends.goal_x, ends.goal_y).free
     queue = no_open(1 << 12)
     for v in range(n):
         expanded[v] = False
+        at_goal[v] = max(at_goal[v] - around, 0.0)
         to_goal[v] = at_goal[v]
-        f = at_goal[v] + extent(forces, outline.point[v, 0] - ux, outline.point[v, 1] - uy)
+        f = to_goal[v] + extent(forces, outline.point[v, 0] - ux, outline.point[v, 1] - uy)
         if f < limit:
             queue = with_room(queue)
             push(queue, f, v)
-    least = extent(forces, ends.goal_x - ux, ends.goal_y - uy) if direct else inf
+    least = max(extent(forces, ends.goal_x - ux, ends.goal_y - uy) - around, 0.0)
+    least = least if direct else inf
     frontier = limit
     final = True
     while queue.size[0] > 0:
@@ -168,7 +173,7 @@ def ways_to_goal(
             away = extent(forces, outline.point[v, 0] - ux, outline.point[v, 1] - uy)
             dx = outline.point[v, 0] - ends.goal_x
             dy = outline.point[v, 1] - ends.goal_y
-            straight = extent(forces, dx, dy)
+            straight = extent(forces, dx, dy) - around
             to_goal[v] = max(straight, frontier - away)
     return Ways(to_goal, from_start, at_goal, min(least, frontier), direct, steps, final, links)
 
@@ -287,6 +292,12 @@ def _long_enough(used: ShortInts, length: int) -> ShortInts:
     return out
 
 
+@lean
+def _ahead(line: TautLine, goal: int, rates: Rates) -> float:
+    """Return how far a way goes along a line at least: to the goal, as far as its disc [m]."""
+    return max(line.length - rates.around, 0.0) if line.head == goal else line.length
+
+
 @inner
 def _past_line(
     space: Space, body: Body, outline: Outline, ways: Ways, rates: Rates, lines: Searched,
@@ -295,6 +306,7 @@ def _past_line(
     """Return the cost by heading past a line and its gates, and the steps that it took."""
     n = len(outline.point)
     turn = rates.radian * 2.0 * pi / HEADINGS
+    within = rates.around > 0.0 and line.head == n + 1
     steps = 15000.0
     if lines.gates[0, row] == FRESH:
         steps += 30000.0
@@ -315,11 +327,13 @@ def _past_line(
         cost[j] = lines.before[row, j]
     if lines.gates[0, row] == BARRED:
         pass_gate(cost, lines.closed[2 * row], turn)
+    # a disc lies on both sides of the line
     past = along_line(
-        cost, atan2(line.dy, line.dx), line.length, rates,
-        line.about != -1 and line.behind != 1, line.about != 1 and line.behind != -1,
+        cost, atan2(line.dy, line.dx), _ahead(line, n + 1, rates), rates,
+        line.about != -1 and line.behind != 1 and not within,
+        line.about != 1 and line.behind != -1 and not within,
     )  # fmt: skip
-    if steer and (line.tail == n or (line.head == n + 1 and not rates.any_heading)):
+    if steer and (line.tail == n or (line.head == n + 1 and not rates.any_heading and not within)):
         on = line.about if line.tail == n else -line.behind
         section = Section(
             line.dx, line.dy, on * line.dy / line.length, -on * line.dx / line.length,
@@ -441,7 +455,8 @@ def least_over_corners(
             if not _in_sight(ways, at, to):
                 continue
             line = _line(outline, ends, at, to)
-            rest = rates.metre * (line.length + (0.0 if to == goal else ways.to_goal[to]))
+            beyond = 0.0 if to == goal else ways.to_goal[to]
+            rest = rates.metre * (_ahead(line, goal, rates) + beyond)
             if lowest + rest >= limit or (at != start and not _goes_on(last, line)):
                 continue
             slot = at if to == goal else n + begin + i

@@ -1,14 +1,15 @@
 """What no path to any pose of a goal can cost less than.
 
 A goal at any heading has a bound over all of them. One that is reached somewhere in a disc has the
-least bound of its sectors, without obstacles; among obstacles, that of its middle, less what going
-on there takes at most.
+least bound of its sectors, without obstacles; among obstacles, the least of discs that cover it.
 """
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
 from itertools import pairwise
 from math import asin, atan2, cos, hypot, inf, pi, remainder, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,16 +18,28 @@ from energyplan.path import Pose
 from energyplan.planning.bound import (
     EFFORT,
     Bound,
+    Disc,
     inscribed,
     least_at_any_heading,
+    least_without_obstacles,
     lower_bound,
 )
+from energyplan.planning.bound.surfaces import CLEARANCE_ERROR
 from energyplan.planning.goal import Goal
 from energyplan.planning.problem import PlanningProblem
+from energyplan.planning.settings import BOUND
 from energyplan.planning.space.compiled import CompiledProblem, compiled
-from energyplan.planning.space.motions import DIRECTIONS, KernelProblem, free_energy
+from energyplan.planning.space.motions import KernelProblem, free_energy
 
 _SECTORS = 48  # parts of a disc, by the direction from the start, whose least cost is found alone
+
+_PLACE = Disc(any_heading=True)
+
+_PARTS = tuple(
+    (0.5 * length * cos(k * pi / 3.0), 0.5 * length * sin(k * pi / 3.0))
+    for length, k in ((0.0, 0), *((sqrt(3.0), k) for k in range(6)))
+)
+"""Middles of seven discs of half the radius that cover a disc, over its radius."""
 
 
 def least_to_goal(
@@ -66,31 +79,85 @@ def _to_pose(problem: PlanningProblem, pose: Pose, cost: float, effort: float) -
 def _to_place(query: CompiledProblem, cost: float, effort: float) -> Bound:
     """Return the bound to the place of the query's goal at any heading."""
     known = Bound(least_at_any_heading(query.setting), False)
-    return lower_bound(query, cost, effort, any_heading=True) if cost > known.value else known
+    return lower_bound(query, cost, effort, target=_PLACE) if cost > known.value else known
+
+
+class _Region(NamedTuple):
+    """A disc of the places that a path may end at."""
+
+    value: float  # what every path to it costs at least
+    number: int
+    x: float
+    y: float
+    around: float  # [m]
+    bounded: bool  # whether obstacles were looked at
 
 
 def _to_disc(
     query: CompiledProblem, goal: Goal, yaw: float | None, around: float, cost: float, effort: float
 ) -> Bound:
-    """Return the bound to the points of a disc about a goal."""
-    setting = query.setting
+    """Return the bound to the points of a disc about a goal.
+
+    The disc is divided into smaller ones where that may raise the bound: the ones of least cost
+    first, until the search over corners takes too long.
+    """
     middle = Pose(goal.x, goal.y, 0.0 if yaw is None else yaw)
     if yaw is not None:
         middle = query.centre(middle)
-    known = Bound(_least_in_disc(setting, middle, around, any_heading=yaw is None), False)
-    grid = query.grid
-    column, row = np.floor(grid.to_cells(middle[:2])).astype(int)
+    least = _least_in_disc(query.setting, middle, around, any_heading=yaw is None)
+    if not cost > least:
+        return Bound(least, False)
+    limit, spent = BOUND.beyond * cost, 0.0
+    heap, count = [_Region(least, 0, middle.x, middle.y, around, False)], 1
+    while heap:
+        region = heappop(heap)
+        if region.value >= limit:
+            return Bound(region.value, True)
+        if spent > effort or count > BOUND.regions:
+            return Bound(region.value, False)
+        if not region.bounded:
+            found = _to_region(query, region, yaw, cost, effort - spent)
+            spent += found.steps
+            if found.value < inf:
+                value = max(region.value, found.value)
+                heappush(heap, region._replace(value=value, bounded=True))
+            continue
+        for x, y in _PARTS:
+            part = region._replace(
+                x=region.x + region.around * x, y=region.y + region.around * y,
+                around=0.5 * region.around, bounded=False, number=count,
+            )  # fmt: skip
+            if hypot(part.x - middle.x, part.y - middle.y) >= part.around + around:
+                continue
+            target = Disc(part.around, yaw is None)
+            setting = query.setting._replace(goal=Pose(part.x, part.y, middle.yaw))
+            value = max(region.value, least_without_obstacles(setting, target))
+            heappush(heap, part._replace(value=value))
+            count += 1
+    return Bound(inf, True)
+
+
+def _to_region(
+    query: CompiledProblem, region: _Region, yaw: float | None, cost: float, effort: float
+) -> Bound:
+    """Return the bound to a disc about whose places obstacles lie; infinite where none is free."""
+    grid, radius = query.grid, inscribed(query)
+    at = grid.to_cells((region.x, region.y))
+    column, row = np.floor(at).astype(int)
     rows, columns = grid.shape
-    if not (cost > known.value and 0 <= row < rows and 0 <= column < columns):
-        return known
-    room = float(grid.space.clearance[row, column]) * grid.resolution
-    if not room > inscribed(query) + around + 2.0 * grid.resolution:
-        return known
-    # from anywhere in it the disc of the bound turns, and goes on to the middle
-    on = around * float(query.prices[:, :: DIRECTIONS // 2].max())
-    on += setting.least_radian * pi / (2.0 if setting.gear == 0 else 1.0)
-    found = lower_bound(query.toward(middle), cost + on, effort, any_heading=True)
-    return Bound(max(known.value, found.value - on), found.final)
+    if not (0 <= row < rows and 0 <= column < columns):
+        return Bound(region.value, True)
+    off = float(np.hypot(*(at - (column, row) - 0.5))) + CLEARANCE_ERROR
+    clearance = float(grid.space.clearance[row, column])
+    if (clearance + off) * grid.resolution + region.around < radius:
+        return Bound(inf, True)
+    room = (clearance - off) * grid.resolution - region.around
+    radius = radius if room >= radius else BOUND.smaller * radius
+    if not room >= radius > 0.0:
+        return Bound(region.value, True)
+    target = Disc(region.around, yaw is None, region.value, radius)
+    middle = Pose(region.x, region.y, 0.0 if yaw is None else yaw)
+    return lower_bound(query.toward(middle), cost, effort, target=target)
 
 
 def _least_in_disc(
@@ -104,8 +171,9 @@ def _least_in_disc(
     """
     dx, dy = middle.x - setting.start.x, middle.y - setting.start.y
     away = hypot(dx, dy)
+    turn = 0.0 if any_heading else abs(remainder(middle.yaw - setting.start.yaw, 2.0 * pi))
     if away <= around:
-        return 0.0
+        return setting.steering.per_radian * turn
     ahead = atan2(dy, dx) - setting.start.yaw
     wide = asin(around / away)
 
@@ -131,7 +199,6 @@ def _least_in_disc(
         least = min(least, least_at_any_heading(setting._replace(goal=at)))
     if any_heading:
         return least
-    turn = abs(remainder(middle.yaw - setting.start.yaw, 2.0 * pi))
     return max(least, setting.least_metre * (away - around) + setting.least_radian * turn)
 
 

@@ -7,7 +7,7 @@ work of all such forces is a norm; docs/planner.md derives how it measures ways 
 
 from __future__ import annotations
 
-from math import cos, pi
+from math import cos, hypot, pi, remainder
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from energyplan.cost.bounds import SLACK
 from energyplan.cost.direction_table import octant_directions, scan_ratios
 from energyplan.path import FloatArray
 from energyplan.planning.space.compiled import CompiledProblem
+from energyplan.planning.space.motions import KernelProblem
 from energyplan.planning.space.prices import FLAT, remembered
 
 EUCLIDEAN: FloatTable = np.zeros((0, 2))
@@ -25,6 +26,7 @@ EUCLIDEAN: FloatTable = np.zeros((0, 2))
 
 _HEADINGS = 720  # headings at which a metre is priced
 _FORCES = 96  # directions whose greatest force is kept
+_SWEEPS = 72  # ranges of axes in half a turn
 _RATIOS = 24  # ratios of metres and radians, in each octant, that are tried first
 _CUTS, _ZOOMS = 8, 4  # and then between the neighbours of the best
 _REST = 1e-4  # part of the least price of a metre that is left to the forces
@@ -36,6 +38,7 @@ class HeadingForces(NamedTuple):
     Both leave radians their least price.
     """
 
+    price: FloatArray  # (n,): of a metre along the axes at ``pi k / n``, beyond that of radians
     total: FloatTable  # (m, 2): for all of the price
     excess: FloatTable  # (m, 2): for what is beyond `rest` of the least price, and of surfaces
     rest: float  # part of the least prices that remains beside `excess`
@@ -57,7 +60,64 @@ def _forces(query: CompiledProblem) -> HeadingForces:
     beyond = metres - least - query.least_prices.metre_excess()[:, None]
     rest = 1.0 - _REST
     excess = np.maximum(beyond.min(axis=0), 0.0) + (1.0 - rest) * least
-    return HeadingForces(_greatest(np.maximum(metres.min(axis=0), least)), _greatest(excess), rest)
+    price = np.maximum(metres.min(axis=0), least)
+    return HeadingForces(price, _greatest(price), _greatest(excess), rest)
+
+
+def least_of_sweeps(price: FloatArray, kernel: KernelProblem, any_heading: bool) -> float:
+    """Return a lower bound of metres and radians where a path drives only at headings it has.
+
+    Of each range of headings that holds the start's, it counts what turning through it takes, and
+    the least price of the displacement along two of its axes.
+    """
+    n, step = _SWEEPS, pi / _SWEEPS
+    dx, dy = kernel.goal.x - kernel.start.x, kernel.goal.y - kernel.start.y
+    # axes of the edges between equal ranges of headings, from the start's on; each has the least
+    # price of the ranges on its sides, and a heading within one is a sum of those of its edges
+    axes = np.arange(len(price)) * (pi / len(price)) - kernel.start.yaw
+    rise = np.abs(np.roll(price, -1) - price)
+    # between two axes it may dip as far as the lines lead that come from their other sides
+    price = np.maximum(price - 0.5 * np.maximum(rise, np.roll(rise, 1)), kernel.least_metre)
+    least = np.full(n, np.inf)
+    for near in (-1, 0, 1):
+        at = ((axes + near * pi / len(price)) % pi / step).astype(int) % n
+        np.minimum.at(least, at, price)
+    edge = np.minimum(least, np.roll(least, 1)) * cos(0.5 * step)
+    angle = kernel.start.yaw + step * np.arange(n)
+    x, y = np.cos(angle), np.sin(angle)
+    across = np.abs(x[:, None] * y - y[:, None] * x)
+    aside = np.abs(dx * y - dy * x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pair = (aside * edge[:, None] + aside[:, None] * edge) / across
+    pair[across < 1e-9] = np.inf
+    length = hypot(dx, dy)
+    np.fill_diagonal(pair, np.where(aside <= 1e-9 * length, edge * length, np.inf))
+    turn = 0.0 if any_heading else remainder(kernel.goal.yaw - kernel.start.yaw, 2.0 * pi)
+    lowest = np.inf
+    # up to how many edges right of the start's heading, and left of it
+    for right in range(n + 1):
+        held = np.arange(-right, 1) % n
+        cost = float(pair[np.ix_(held, held)].min())
+        for left in range(1, n + 1):
+            held = np.arange(-right, left + 1) % n
+            cost = min(cost, float(pair[left % n, held].min()))
+            low, high = -max(right - 1, 0) * step, (left - 1) * step
+            lowest = min(
+                lowest, cost + kernel.least_radian * _through(low, high, turn, any_heading)
+            )
+    return lowest
+
+
+def _through(low: float, high: float, turn: float, any_heading: bool) -> float:
+    """Return the least turning from heading 0 through both ends of a range to another heading."""
+    if any_heading:
+        return high - low + min(high, -low)
+    orders = (low, high), (high, low)
+    return min(
+        abs(first) + high - low + abs(turn + full - last)
+        for first, last in orders
+        for full in (-2.0 * pi, 0.0, 2.0 * pi)
+    )
 
 
 def _metre_prices(query: CompiledProblem) -> FloatArray:

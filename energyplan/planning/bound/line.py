@@ -101,6 +101,7 @@ class Rates(NamedTuple):
     direct: float  # least cost from start to goal without obstacles
     steering: StaticSteering  # what no motion costs less than, pivots included
     any_heading: bool = False  # whether any heading will do at the goal
+    around: float = 0.0  # radius of the disc about the goal in which a way may end [m]
 
 
 @lean

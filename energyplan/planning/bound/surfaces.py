@@ -24,15 +24,18 @@ MOST_CELLS = 250_000  # cells above which they are joined to larger ones
 CLEARANCE_ERROR = 1e-3  # far above what rounding makes of a clearance [cells]
 
 
-def least_excess(query: CompiledProblem, radius: float, limit: float) -> float:
-    """Return a lower bound on what expensive surfaces add to the cost of every path."""
+def least_excess(query: CompiledProblem, radius: float, limit: float, around: float = 0.0) -> float:
+    """Return a lower bound on what expensive surfaces add on every path to `around` the goal."""
     surfaces = query.problem.surfaces
     if surfaces is None:
         return 0.0
-    return _least_sum(query, surfaces, query.least_prices.metre_excess(), radius, limit)
+    excess = query.least_prices.metre_excess()
+    return _least_sum(query, surfaces, excess, radius, limit, around)
 
 
-def least_of_metres(query: CompiledProblem, radius: float, limit: float) -> float:
+def least_of_metres(
+    query: CompiledProblem, radius: float, limit: float, around: float = 0.0
+) -> float:
     """Return a lower bound on what the metres of every path cost, if turning costs nothing.
 
     A robot that a speed limit slows down turns at no cost in time, so that where radians are paid
@@ -43,14 +46,17 @@ def least_of_metres(query: CompiledProblem, radius: float, limit: float) -> floa
         return 0.0
     prices, setting = query.least_prices.metre_prices(0.0), query.setting
     straight = hypot(setting.goal.x - setting.start.x, setting.goal.y - setting.start.y)
+    straight = max(straight - around, 0.0)
     least = float(prices.min())
-    excess = _least_sum(query, surfaces, prices - least, radius, limit - least * straight)
+    left = limit - least * straight
+    excess = _least_sum(query, surfaces, prices - least, radius, left, around)
     return least * straight + excess
 
 
 def _least_sum(
-    query: CompiledProblem, surfaces: SurfaceMap, excess: FloatArray, radius: float, limit: float
-) -> float:
+    query: CompiledProblem, surfaces: SurfaceMap, excess: FloatArray, radius: float, limit: float,
+    around: float,
+) -> float:  # fmt: skip
     """Return the least sum of an excess of each metre by class of ground."""
     if excess.max() <= 1e-9 * query.least.metre:
         return 0.0
@@ -76,7 +82,9 @@ def _least_sum(
     ends = [setting.start[:2], setting.goal[:2]]
     columns, rows = (grid.to_cells(ends) / factor).astype(int).T
     return float(
-        least_steps(size * least, passable, rows[0], columns[0], rows[1], columns[1], limit)
+        least_steps(
+            size * least, passable, rows[0], columns[0], rows[1], columns[1], limit, around / size
+        )
     )
 
 
@@ -129,14 +137,15 @@ def least_steps(
     goal_row: int,
     goal_column: int,
     limit: float,
+    around: float,
 ) -> float:
-    """Return the least sum of steps from a cell to the neighbourhood of another.
+    """Return the least sum of steps from a cell to the neighbourhood of a disc about another.
 
     Follow a way, and mark a place each time that it has gone as far as a cell is wide, along either
     axis, from the last one. From one to the next it stays within the cell of the first and the
     eight around it, and the next lies in one of these. So the marks make a chain over the cells,
     diagonals included, and the way pays at least the width of a cell times the least price in
-    this neighbourhood, which is what `step` holds.
+    this neighbourhood, which is what `step` holds. The radius of the disc is in cells.
     """
     rows, columns = step.shape
     reached = np.empty((rows, columns))
@@ -153,7 +162,7 @@ def least_steps(
         c = node % columns
         if sum_so_far >= limit:
             break
-        if abs(r - goal_row) <= 1 and abs(c - goal_column) <= 1:
+        if hypot(max(abs(r - goal_row) - 1, 0), max(abs(c - goal_column) - 1, 0)) <= around:
             return float(sum_so_far)
         if sum_so_far > reached[r, c]:
             continue

@@ -12,9 +12,9 @@ import numpy as np
 
 from energyplan.compilation import compile_kernels
 from energyplan.planning.bound import Bounding
-from energyplan.planning.budget import SHARES, UNITS, Budget
+from energyplan.planning.budget import SHARES, Budget
+from energyplan.planning.ends import Ends
 from energyplan.planning.search.lattice import joined
-from energyplan.planning.search.narrow.ends import Ends, ways_out
 from energyplan.planning.search.narrow.infeasible import (
     Proof,
     Prover,
@@ -29,7 +29,7 @@ from energyplan.planning.search.routes import cheapest_routes
 from energyplan.planning.search.tracking import Tracked, track_route
 from energyplan.planning.settings import ROUTES
 from energyplan.planning.space.compiled import CompiledProblem, Segments
-from energyplan.planning.space.cost_to_go import CostToGo, cost_to_go, reached
+from energyplan.planning.space.cost_to_go import CostToGo
 from energyplan.planning.space.motions import KernelProblem
 from energyplan.planning.space.places import places_for
 
@@ -38,21 +38,29 @@ from energyplan.planning.space.places import places_for
 class Paths:
     """The paths known, and what is known for finding and judging them."""
 
-    query: CompiledProblem
+    ends: Ends  # where searches begin and end
     gap: float  # part of the bound that a path may cost more
     portfolio: Portfolio
     bounding: Bounding  # lower bound of the cost of every path
-    ends: Ends  # where searches begin and end
-    to_go: CostToGo  # cost-to-go between these
     entered: list[Segments] = field(default_factory=list)
     stuck: list[Tracked] = field(default_factory=list)  # routes that could not be tracked
     through_passages: bool = False  # whether narrow passages were searched
     stop: float = 0.0  # price of a stop
 
     @property
+    def query(self) -> CompiledProblem:
+        """The problem."""
+        return self.ends.query
+
+    @property
+    def to_go(self) -> CostToGo:
+        """The cost-to-go between the ends of searches."""
+        return self.ends.to_go
+
+    @property
     def setting(self) -> KernelProblem:
         """The problem between the ends of searches, as the kernels see it."""
-        return self.ends.between(self.query.setting)._replace(stop=self.stop)
+        return self.ends.between._replace(stop=self.stop)
 
     def price_stops(self, stop: float) -> None:
         """Compare and refine paths with a price of every stop from now on."""
@@ -62,7 +70,7 @@ class Paths:
     @property
     def cost(self) -> float:
         """Cost of the best path so far."""
-        return self.portfolio.cost
+        return self.portfolio.cost + self.ends.cost
 
     @property
     def enough(self) -> float:
@@ -70,7 +78,7 @@ class Paths:
         return self.bounding.value * (1.0 + self.gap)
 
     def enter(self, motions: Segments) -> None:
-        """Enter motions from the start to the goal, free of collisions."""
+        """Enter motions between the outer ways, free of collisions."""
         self.entered.append(motions)
         self.portfolio.enter(motions)
 
@@ -87,18 +95,6 @@ class Paths:
             cost = Refiner(self.setting, motions).cost
             if cost <= ROUTES.hope * self.cost:
                 self.enter_between([motions])
-
-
-def between_ends(query: CompiledProblem, budget: Budget, gap: float, seed: int) -> Paths:
-    """Return no paths yet; where an end has no room to turn, searches begin or end near it."""
-    tried = [*ways_out(query, budget.part(SHARES.aside)), Ends(query)]
-    for ends in tried:
-        setting = ends.between(query.setting)
-        to_go = cost_to_go(setting)
-        budget.spend_on_map(to_go.work / UNITS.nodes)
-        if not ends.moved or reached(to_go, setting):
-            break
-    return Paths(query, gap, Portfolio(query.setting, seed), Bounding(query), ends, to_go)
 
 
 def find_first(paths: Paths, budget: Budget) -> None:

@@ -2,8 +2,8 @@
 
 `plan` calls one function a step, in this order:
 
-1. `between_ends`: an end without room to turn is left by a short way; the rest of the steps search
-   between the poses with room.
+1. `find_ends`: an end that lacks clearance or room to turn is left by a short way; the rest of the
+   steps search between the poses with room.
 2. `find_first`: the shortest route through the free configurations is tracked by exact
    minimum-energy motions, and shortened to a first plan; other searches where that fails.
 3. `_Stages`: the first path is refined a little, its lower bound and the shortcuts of the shortest
@@ -40,11 +40,12 @@ from energyplan.path import FloatArray, Path
 from energyplan.planning.bound import Bounding, prepare_bound
 from energyplan.planning.budget import SHARES, UNITS, Budget, Work, do_together
 from energyplan.planning.driven import Candidate, DrivenPath, stops_count
+from energyplan.planning.ends import Ends, find_ends, refined_at_ends
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
-from energyplan.planning.search.first import Paths, between_ends, find_first
+from energyplan.planning.search.first import Paths, find_first
 from energyplan.planning.search.lattice import Search, lattice_for
 from energyplan.planning.search.moving_turns import TurnSearch
-from energyplan.planning.search.narrow.ends import surely_has_room
+from energyplan.planning.search.narrow.escape import surely_has_room
 from energyplan.planning.search.narrow.passages import paths_through_passages, units_for_passages
 from energyplan.planning.search.optimise import Portfolio, Refiner
 from energyplan.planning.search.routes import Routes, straight_way
@@ -69,22 +70,24 @@ def plan(
     """Plan on a lattice, and refine with exact steering."""
     if not gap >= 0:
         raise InvalidInputError(f"gap is {gap}; give 0 or more")
-    query = compiled(problem)
-    base = query.leading  # of least energy, also where the shortest path is wanted
-    budget.beside(lambda: regions_for(base.setting))
-    paths = between_ends(base, budget, gap, seed)
+    ends = find_ends(problem, budget)
+    query, base = ends.of, ends.query
+    bare = query if problem.ends_clear else compiled(problem.without_clearance)
+    portfolio = Portfolio(ends.setting(base), seed)
+    paths = Paths(ends, gap, portfolio, Bounding(bare.leading))
     known = [path for path in initial if problem.fault(path) is None]
-    for path in known:
+    for path in known if not ends.lacking else ():
         paths.enter(base.of_centre(path.ds, path.dtheta))
     if bound is not None and base is query:
         paths.bounding.know(bound - query.potential(problem.goal))
     find_first(paths, budget)
     first = budget.elapsed
-    stages = _Stages(paths, budget, known, length=base is not query)
+    own = budget.part(SHARES.stage) if ends.lacking else budget
+    stages = _Stages(paths, own, known, length=base is not query)
     stages.run()
     if base is not query:
-        path = stages.shortest.best()
-        least = Bounding(query)
+        path = refined_at_ends(ends, stages.shortest.best(), budget)
+        least = Bounding(bare)
         if bound is not None:
             least.know(bound - query.potential(problem.goal))
         beyond = query.value(path) - query.potential(problem.goal)
@@ -92,6 +95,9 @@ def plan(
         value = query.potential(problem.goal) + least.value
         return Candidate(path, value, first, open=stages.over)
     path, driven = stages.answered()
+    if ends.lacking:
+        stages.answer.weigh(refined_at_ends(ends, path, budget), budget)
+        path, driven = stages.answer.best(), stages.answer.driven
     beyond = query.value(path) - query.potential(problem.goal)
     left = min(budget.left, SHARES.aside * (budget.limit or 0))
     do_together(budget, paths.bounding.work(beyond, left) if left > 0 else [])
@@ -127,10 +133,11 @@ class _Stages:
         self.length = length  # whether the shortest path is the answer
         self.paths, self.budget, self.known = paths, budget, known
         self.answer = Answer(query, stops_count(query.problem))
-        self.short_query = compiled(query.problem.shortest)
         self.moving: Weighed | None = None  # the best path with turns at speed
+        self.short_query = query.shortest
         self.shortest = Answer(self.short_query, driven=False)
-        self.short = None if is_length(query.problem) else Portfolio(self.short_query.setting, 1)
+        short = paths.ends.setting(self.short_query)
+        self.short = None if is_length(query.problem) else Portfolio(short, 1)
         self.looked = 0  # paths entered of which the shortest is known
         self.lanes: dict[str, Iterator[Work | None]] = {
             "refining": self._refining(),
@@ -251,7 +258,7 @@ class _Stages:
         # these steps are done whatever is left: so they are the same with any budget
         paths, answer = self.paths, self.answer
         self._refine_first()
-        first = _finished(paths.query, paths.portfolio.best)
+        first = _finished(paths.ends, paths.query, paths.portfolio.best)
         answer.weigh(first, self.budget)
         if answer.path is None:  # the motors drive it at no speed
             self.answer = answer = Answer(paths.query, driven=False)
@@ -263,7 +270,7 @@ class _Stages:
         if answer.each:
             paths.price_stops(answer.each)
             self._refine_first()
-            answer.weigh(_finished(paths.query, paths.portfolio.best), self.budget)
+            answer.weigh(_finished(paths.ends, paths.query, paths.portfolio.best), self.budget)
         for work in paths.bounding.work(paths.cost, STAGES.least_bound):
             self._at_any_rate(work)
         compared = self.length or set(objective_weights(paths.query.problem.objective)) == {
@@ -284,13 +291,13 @@ class _Stages:
     def _refine_first(self) -> None:
         """Refine the paths that are known a little, whatever is left."""
         portfolio = self.paths.portfolio
-        while portfolio.fresh and (work := portfolio.work(self.enough)):
+        while portfolio.fresh and (work := portfolio.work(self.enough - self.paths.ends.cost)):
             self._at_any_rate(work)
 
     def _refining(self) -> Iterator[Work | None]:
         """Yield steps of refining, and nothing where none gains at present."""
         while True:
-            yield self.paths.portfolio.work(self.enough)
+            yield self.paths.portfolio.work(self.enough - self.paths.ends.cost)
 
     def _routing(self, name: str) -> Iterator[Work | None]:
         """Yield searches for the cheapest routes by length and turns, or by expensive turns."""
@@ -406,7 +413,7 @@ class _Stages:
         paths, of = self.paths, self.short_query
         entered, self.looked = paths.entered[self.looked :], len(paths.entered)
         known = (of.motions_of(paths.query, one) for one in [*entered, paths.portfolio.best])
-        shortest = min((Refiner(of.setting, one) for one in known), key=lambda one: one.cost)
+        shortest = min((Refiner(short.setting, one) for one in known), key=lambda one: one.cost)
         short.enter(shortest.segments)
         enough = max(enough, Bounding(of).value * (1.0 + paths.gap))
         gains, kept = True, UNITS.drive if self.answer.drives else 0.0
@@ -417,7 +424,7 @@ class _Stages:
                 work.take(work.run(own))
         gains = gains and short.cost > enough
         with suppress(PlanningError):
-            found = _finished(of, short.best)
+            found = _finished(paths.ends, of, short.best)
             length, answer = self.shortest.weighed(found, own), self._weighed(found, own)
             return _Shortened(gains, short.best, length, answer)
         return _Shortened(gains)
@@ -451,7 +458,9 @@ class _Stages:
                 refiner.shortcut(own)
                 refiner.polish(own, most=most)
             with suppress(PlanningError):
-                return self._weighed(_finished(self.paths.query, refiner.segments), own)
+                return self._weighed(
+                    _finished(self.paths.ends, self.paths.query, refiner.segments), own
+                )
             return None
 
         return run
@@ -477,7 +486,7 @@ class _Stages:
                 continue
             varied = paths.cost
             for factor in STOPS.prices:
-                setting = paths.query.setting._replace(stop=factor * paths.stop)
+                setting = paths.portfolio.setting._replace(stop=factor * paths.stop)
                 run = self._weighing(Refiner(setting, paths.portfolio.best), STOPS.polish)
                 yield Work(run, 2.0 * REFINING.step + UNITS.drive, self.answer.take)
 
@@ -512,18 +521,17 @@ class _Stages:
         """Return the best path, and its drive where paths were driven."""
         answer, query = self.answer, self.paths.query
         if not answer.drives and isinstance(query.problem.cost.steering_parameters, StaticSteering):
-            answer.weigh(_finished(query, self.paths.portfolio.best), self.budget)
-        if self.moving is not None and self.moving.value < answer.value:
-            return self.moving.path, self.moving.driven
+            answer.weigh(_finished(self.paths.ends, query, self.paths.portfolio.best), self.budget)
+        answer.take(self.moving)
         return answer.best(), answer.driven
 
 
 _LEAST = 10.0  # units of work as which a step counts at least
 
 
-def _finished(query: CompiledProblem, motions: Segments) -> Path:
+def _finished(ends: Ends, query: CompiledProblem, motions: Segments) -> Path:
     """Return the path of some motions, with arcs and spins where these are better."""
-    path = query.path(motions)
+    path = ends.path(query, motions)
     if max(query.problem.radii) > 0:
         return path
     return _with_fewer_motions(query, _with_wide_arcs(query, path))
@@ -552,8 +560,9 @@ def _with_fewer_motions(query: CompiledProblem, path: Path) -> Path:
                 np.concatenate([dtheta[:first], [turn], dtheta[last:]]),
                 path.longitudinal,
             )
-            free = query.grid.path_free(fewer, query.problem.robot)
-            if free and query.value(fewer) <= query.value(path) * (1.0 + REFINING.same):
+            if query.allows(fewer) and query.value(fewer) <= query.value(path) * (
+                1.0 + REFINING.same
+            ):
                 path, ds, dtheta = fewer, fewer.ds, fewer.dtheta
                 break
         first += 1
@@ -600,17 +609,14 @@ def _with_wide_arcs(query: CompiledProblem, path: Path) -> Path:
             if totals[i] >= best[j] * (1.0 - 1e-6):
                 break
             joined = steering.path(poses[i], poses[j], cost)
-            if problem.forbidden(joined):
-                continue
-            if problem.terrain.obstacles.path_free(joined, problem.robot):
+            if query.allows(joined):
                 best[j] = totals[i]
                 parts.append((joined.ds, joined.dtheta))
                 whole[j] = [*whole[i], len(parts) - 1]
                 break
     ds, dtheta = (np.concatenate([parts[k][n] for k in whole[-1]]) for n in (0, 1))
     found = Path(path.start, ds, dtheta, path.longitudinal)
-    free = problem.terrain.obstacles.path_free(found, problem.robot)
-    return found if free and query.value(found) < query.value(path) else path
+    return found if query.allows(found) and query.value(found) < query.value(path) else path
 
 
 PLANNING = tuple(f"energyplan.{of}." for of in ("planning", "terrain", "cost", "steering.kernels",
@@ -619,7 +625,7 @@ PLANNING = tuple(f"energyplan.{of}." for of in ("planning", "terrain", "cost", "
 
 EXACT = ("energyplan.steering.polygon",)
 SURFACES = ("energyplan.planning.bound.surfaces", "energyplan.terrain.surfaces")
-TIGHT = ("energyplan.planning.search.narrow.ends",)
+TIGHT = ("energyplan.planning.search.narrow.escape",)
 CLOSED = ("energyplan.planning.search.narrow.infeasible",)
 NARROW = ("energyplan.planning.search.narrow.bidirectional",)
 """Where the kernels are that are needed for costs that are not static, for surfaces, for ends

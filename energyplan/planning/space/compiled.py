@@ -52,11 +52,16 @@ class Segments(NamedTuple):
 class CompiledProblem:
     """A problem, priced and translated for the kernels."""
 
-    problem: PlanningProblem  # the problem
-    wanted: float = 0.0  # clearance that `grown` has, where it is more than the problem's [m]
+    problem: PlanningProblem  # the problem, with what clearance its ends have
+    whole: PlanningProblem | None = None  # the same with all its clearance, where that is more
 
     def __post_init__(self) -> None:
         self.problem.check_poses()
+
+    @property
+    def strict(self) -> PlanningProblem:
+        """The problem with all its clearance, at its ends as well."""
+        return self.whole or self.problem
 
     @cached_property
     def middle(self) -> tuple[float, float]:
@@ -72,12 +77,19 @@ class CompiledProblem:
         """The problem of the first plan: that of least energy, even for the shortest path."""
         if not is_length(self.problem):
             return self
-        energy = CompiledProblem(replace(self.problem, objective="energy"))
+        whole = None if self.whole is None else replace(self.whole, objective="energy")
+        energy = CompiledProblem(replace(self.problem, objective="energy"), whole)
         try:
             _ = energy.setting
         except ModelError:  # downhill some motion may be free
             return self
         return energy
+
+    @cached_property
+    def shortest(self) -> CompiledProblem:
+        """The problem of the shortest path."""
+        whole = None if self.whole is None else self.whole.shortest
+        return CompiledProblem(self.problem.shortest, whole)
 
     # -- prices ---------------------------------------------------------------------------------
 
@@ -231,12 +243,16 @@ class CompiledProblem:
 
     @property
     def grown(self) -> Body:
-        """That footprint with the margin of planning."""
-        more = max(self.wanted - self.problem.clearance, 0.0)
+        """That footprint with the whole clearance and the margin of planning."""
+        more = self.strict.clearance - self.problem.clearance
         return grown(self.body, MARGIN * self.grid.resolution + more)
 
+    def allows(self, path: Path) -> bool:
+        """Return whether robot, ground and obstacles allow a path between the problem's ends."""
+        return self.strict.forbidden(path) is None and self.strict.first_collision(path) is None
+
     def has_margin(self, pose: Pose) -> bool:
-        """Return whether a pose is free with the margin of planning."""
+        """Return whether a pose is free with the whole clearance and the margin of planning."""
         return bool(pose_free(self.grid.space, self.grown, *self.centre(pose)))
 
     @cached_property
@@ -366,12 +382,14 @@ class CompiledProblem:
         shift = (other.middle[1] - self.middle[1]) * motions.dtheta
         return Segments(motions.ds + shift, motions.dtheta)
 
-    def path(self, segments: Segments) -> Path:
-        """Return the path that starts at the problem's start."""
-        problem = self.problem
+    def path(self, segments: Segments, start: Pose | None = None) -> Path:
+        """Return the path that starts at a pose, the problem's start if none is given."""
+        problem = self.strict
         for motions in (merged(segments), segments):
             moved = self.reference(motions.ds, motions.dtheta)
-            path = Path(problem.start, moved.ds, moved.dtheta, problem.cost.icr.longitudinal)
+            path = Path(
+                start or problem.start, moved.ds, moved.dtheta, problem.cost.icr.longitudinal
+            )
             if self.grid.path_free(path, problem.robot):
                 return path
         where = path.vertices[self.grid.first_collision(path, problem.robot) or 0]

@@ -7,6 +7,7 @@ const headers = token ? { Authorization: `Bearer ${token}` } : {};
 
 async function answered(response) {
   if (response.ok) return response.json();
+  if (response.status === 401) throw new Error(t("no_token"));  // the service's words are for programs
   let told = response.statusText;
   try { told = (await response.json()).detail; } catch { /* no JSON: the status has to do */ }
   throw new Error(told);

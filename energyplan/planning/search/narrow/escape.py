@@ -1,29 +1,20 @@
-"""Ends so tight that a lattice does not join them: a path leads out of each to where there is room.
+"""The search out of an end so tight that a lattice does not join it, to where there is room.
 
 Most searches end a hand's breadth from a goal that they cannot turn into, and one that starts there
-does not get away. So the path out is found first, by motions as short as the room demands, and the
-searches begin and end where it does. Refinement improves it as any other.
-
-Best paths touch obstacles, and one that was planned without a margin may be free or not by
-rounding. If it is not, a path is planned between the two poses that have room.
+does not get away. So the path out is found first, by motions as short as the room demands.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from math import floor, log2, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from energyplan.compilation import Floats, FloatTable, Ints, ShortInts, inner, lean, njit
-from energyplan.errors import PlanningError
-from energyplan.path import Path, Pose
+from energyplan.path import Pose
 from energyplan.planning.budget import UNITS, Budget, side_by_side
-from energyplan.planning.problem import PlanningProblem
-from energyplan.planning.search.optimise import Refiner
 from energyplan.planning.settings import ESCAPE
 from energyplan.planning.space.compiled import CompiledProblem, Segments
 from energyplan.planning.space.motions import (
@@ -279,82 +270,6 @@ def _longest(kind: int, reach: float, radius: float) -> tuple[float, float]:
 NOTHING = Segments(np.empty(0), np.empty(0))
 
 
-@dataclass(frozen=True, eq=False)
-class Ends:
-    """Where searches begin and end, and the motions between there and the problem's own ends."""
-
-    query: CompiledProblem  # the problem
-    out: Segments = NOTHING
-    back: Segments = NOTHING
-
-    @property
-    def moved(self) -> bool:
-        """Whether searches begin or end elsewhere than the problem does."""
-        return len(self.out.ds) + len(self.back.ds) > 0
-
-    @cached_property
-    def paths(self) -> tuple[Path, Path]:
-        """The path out of the start, and the one into the goal."""
-        problem = self.query.problem
-        out, back = (self.query.reference(*part) for part in (self.out, self.back))
-        longitudinal = problem.cost.icr.longitudinal
-        away = Path(problem.goal, -back.ds[::-1], -back.dtheta[::-1], longitudinal)
-        return (
-            Path(problem.start, out.ds, out.dtheta, longitudinal),
-            Path(away.end, back.ds, back.dtheta, longitudinal),
-        )
-
-    @cached_property
-    def problem(self) -> PlanningProblem:
-        """The problem between the two poses."""
-        out, back = self.paths
-        return replace(self.query.problem, start=out.end, goal=back.start)
-
-    def between(self, setting: KernelProblem) -> KernelProblem:
-        """Return the kernels' problem between the two poses, with the margin where it fits."""
-        if not self.moved:
-            return setting
-        query = self.query
-        ends = self.problem.start, self.problem.goal
-        start, goal = (query.centre(end) for end in ends)
-        return setting._replace(
-            body=query.grown if all(query.has_margin(end) for end in ends) else setting.body,
-            start=start,
-            goal=goal,
-        )
-
-    def around(self, inner: Path) -> Path:
-        """Return the path from the problem's start to its goal by way of one in between."""
-        out, back = self.paths
-        return replace(
-            inner,
-            start=out.start,
-            ds=np.concatenate([out.ds, inner.ds, back.ds]),
-            dtheta=np.concatenate([out.dtheta, inner.dtheta, back.dtheta]),
-        )
-
-    def refined(self, inner: Path, budget: Budget) -> Path:
-        """Return `around(inner)`, refined; with the margin where it is not free without."""
-        query = self.query
-        whole = self.around(inner)
-        motions = query.of_centre(whole.ds, whole.dtheta)
-        for body in (query.body, query.grown) if query.wanted == 0.0 else (query.grown,):
-            # what is not free with the margin stays as it is
-            refiner = Refiner(query.setting._replace(body=body), motions)
-            refiner.shortcut(budget)
-            refiner.polish(budget)
-            with suppress(PlanningError):
-                return min(whole, query.path(refiner.segments), key=query.value)
-        return whole
-
-    def whole(self, inner: Segments) -> Segments:
-        """Return the motions from the problem's start to its goal by way of those in between."""
-        return Segments(
-            np.concatenate([self.out.ds, inner.ds, self.back.ds]),
-            np.concatenate([self.out.dtheta, inner.dtheta, self.back.dtheta]),
-        )
-
-
 def tight(query: CompiledProblem, end: Pose, turn: float = ESCAPE.turn) -> bool:
     """Return whether a start or a goal lacks the margin, or room for a turn [rad]."""
     if surely_has_room(query, end):
@@ -405,12 +320,19 @@ def _chain(tree: Escape, node: int) -> list[tuple[float, float]]:
     return chain
 
 
-def ways_out(query: CompiledProblem, budget: Budget, turn: float = ESCAPE.turn) -> list[Ends]:
-    """Return ends with room, the most promising first."""
+def ways_out(
+    query: CompiledProblem, budget: Budget, turn: float = ESCAPE.turn
+) -> list[tuple[Segments, Segments]]:
+    """Return ways from the start and to the goal, the most promising first; none where not needed.
+
+    They lead to where the margin is kept, and a turn on the spot has room [rad].
+    """
     ends = query.problem.start, query.problem.goal
     sides = [goal for goal in (False, True) if tight(query, ends[goal], turn)]
     tasks = [partial(_out_of, query, goal, turn) for goal in sides]
     found = dict(zip(sides, side_by_side(budget, tasks, ESCAPE.effort), strict=True))
+    if not any(found.values()):
+        return []
     outs, backs = (found.get(goal) or [NOTHING] for goal in (False, True))
     several = max(len(outs), len(backs))
-    return [Ends(query, outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
+    return [(outs[k % len(outs)], backs[k % len(backs)]) for k in range(several)]
