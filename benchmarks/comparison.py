@@ -303,8 +303,9 @@ def polynomial(log: ep.DriveLog, vehicle: ep.Vehicle) -> np.ndarray:
 
 
 def judged(ground: card.Ground) -> tuple[list[ep.DriveLog], list[ep.DriveLog]]:
-    """Return the runs of a ground to learn from, and every third one, which judges."""
-    return [run for k, run in enumerate(ground.runs) if k % 3], ground.runs[::3]
+    """Return the moving runs of a ground to learn from, and every third one, which judges."""
+    runs = list(ground.judged())
+    return [run for k, run in enumerate(runs) if k % 3], runs[::3]
 
 
 def on_drives(folder: File) -> str:

@@ -2,6 +2,9 @@
 
 First as sums of energies in a hall, alike robots and unlike ones, without a map; then with their
 routes planned. CPU time and wall time stand side by side.
+
+``python benchmarks/fleet.py --random COUNT [FIRST]`` draws small fleets by chance and compares
+their answers with every share in every order (see tests/mission/random_fleets.py).
 """
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -100,7 +104,29 @@ def planned(robots: int, tasks: int) -> None:
     )
 
 
+def by_chance(fleets: int, first: int) -> None:
+    """Compare small fleets with the best that is possible."""
+    sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / part) for part in ("", "mission")]
+    from random_fleets import compared
+
+    found = [compared(seed) for seed in range(first, first + fleets)]
+    for one in found:
+        if one.excess > 1e-6 or one.lost or one.booked or not one.bound_holds:
+            print(one)
+    excess = np.array([one.excess for one in found if not np.isnan(one.excess)])
+    print(
+        f"{fleets} fleets by chance: {np.mean(excess):.3%} above the best on average,"
+        f" {np.max(excess):.2%} at worst; in {sum(one.lost > 0 for one in found)} a task is lost,"
+        f" in {sum(bool(one.booked) for one in found)} a charger is double booked;"
+        f" {sum(one.charges for one in found)} charges,"
+        f" {sum(one.waiting > 0 for one in found)} fleets wait for a charger"
+    )
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["--random"]:
+        by_chance(int(sys.argv[2]), int([*sys.argv, "0"][3]))
+        sys.exit()
     size = [int(word) for word in sys.argv[1:3]] or [10, 60]
     sums(*size)
     planned(*size)

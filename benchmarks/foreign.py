@@ -84,6 +84,7 @@ class Said:
     after: float  # of the model that is handed on
     within: bool  # whether the 90 % interval holds the measured energy
     seconds: float
+    left_open: bool = False  # whether the right names are among those that drives cannot separate
 
     @property
     def right(self) -> bool:
@@ -286,9 +287,14 @@ def said_of(seed: int, cause: str) -> Said:
     (one,) = told.predictions
     low, high = one.energy_interval
     names = tuple(effect.name for effect in told.effects if effect.name not in USUAL)
+    others = {
+        frozenset(names) - {effect.name} | {rival}
+        for effect in told.effects for rival in effect.rivals
+    }  # fmt: skip
     return Said(
         seed, cause, names, told.verdict, abs(before), abs(one.energy / one.measured - 1.0),
         bool(low <= one.measured <= high), time.process_time() - start,
+        not others.isdisjoint(NAMED.get(cause, ())),
     )  # fmt: skip
 
 
@@ -319,7 +325,9 @@ def report(some: Sequence[Said]) -> str:
             if one.cause in SOUND else None,
             "foreign causes `unexplained`": one.verdict == "unexplained"
             if one.cause in FOREIGN else None,
-            "known causes named": one.right if one.cause in NAMED else None,
+            # Where drives cannot separate them and this is said, a name is neither right nor wrong.
+            "known causes named": one.right
+            if one.cause in NAMED and (one.right or not one.left_open) else None,
             "false names": one.false,
             "in the 90 % interval": one.within,
         }  # fmt: skip

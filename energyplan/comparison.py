@@ -16,6 +16,7 @@ from energyplan.planning.bound import Bounding
 from energyplan.planning.budget import SHARES, Budget, do_together, plan_budget
 from energyplan.planning.driven import Candidate
 from energyplan.planning.plans import STEADY, Spent, priced_plan, spending
+from energyplan.planning.search.planner import shortened
 from energyplan.planning.space.compiled import compiled
 from energyplan.records import checked
 
@@ -121,8 +122,9 @@ def compare(
     time_limit : float
         Time after which planning stops [s].
     effort : int, optional
-        Units of work, as of `energyplan.plan`. A quarter of each on top is for the lower bound of
-        the shortest route; or the whole for that route, where the plan does not know it.
+        Units of work, as of `energyplan.plan`. On top a quarter of each is for shortening the
+        shortest route, and a quarter of the rest for its lower bound; or the whole for that
+        route, where the plan does not know it.
     **options : object
         Further options of the planner.
 
@@ -180,8 +182,9 @@ def compare(
 
 
 def _shortest(best: Plan, path: Path, problem: PlanningProblem, budget: Budget) -> Plan:
-    """Return the plan of the shortest route that another plan knows, with a lower bound."""
+    """Return the plan of the shortest route, from that which another plan knows, with a bound."""
     query = compiled(problem)
+    path = shortened(query, path, budget.part(SHARES.aside))
     potential, bounding = query.potential(problem.goal), Bounding(query)
     work = bounding.work(query.value(path) - potential, SHARES.aside * budget.left)
     do_together(budget, work)

@@ -1,10 +1,19 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from by_day import by_day
 
-from energyplan import EnergyCost, OccupancyGrid, PlanningProblem, PowerModel, compare
+from energyplan import (
+    EnergyCost,
+    OccupancyGrid,
+    PlanningProblem,
+    PowerModel,
+    compare,
+    plan,
+    read_map,
+)
 
 COST = EnergyCost(PowerModel.preset("quadriga:full:concrete"))
 
@@ -58,3 +67,13 @@ def test_a_worse_planner_falls_back_on_the_shortest_route():
     assert told.energy_optimal.energy <= told.shortest.energy
     assert told.energy_optimal.planner == "rrtstar"
     assert told.energy_optimal.lower_bound <= told.energy_optimal.energy
+
+
+def test_the_shortest_route_is_made_shorter_than_a_plan_of_least_energy_knows_it():
+    place = read_map(Path(__file__).parents[1] / "maps" / "warehouse.yaml")
+    problem = PlanningProblem(place, COST, (2, 2, 0), (20, 12, 1.57))
+    known = plan(replace(problem, objective="energy"), effort=5_000).shortest
+    told = compare(problem, effort=5_000)
+    assert told.shortest.length < known.length - 0.02
+    assert told.shortest.cost_steady >= told.shortest.lower_bound_steady
+    assert problem.shortest.fault(told.shortest.path) is None

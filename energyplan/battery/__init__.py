@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pydantic
@@ -144,6 +144,80 @@ _AGREE = 0.15
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise BatteryError(message)
+
+
+class _Read(NamedTuple):
+    """What some words say about a battery."""
+
+    given: dict[str, float]  # amounts in their units, shares as fractions
+    counts: re.Match[str] | None  # cells in series and side by side
+    several: re.Match[str] | None  # batteries side by side, of which an amount holds for one
+    left: str  # the words that are none of these
+
+
+def _read(words: str) -> _Read:
+    """Return the amounts and the counts among the words for a battery."""
+    rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
+    rest = re.sub(r"(?<=\d),(?=\d{3}(?!\d))", "", rest).replace("(", " ").replace(")", " ")
+    rest = re.sub(r"(?<=\d),(?=\d{1,2}\s*[a-z])", ".", rest)  # a decimal comma
+    several = _SEVERAL.search(rest)
+    rest = _SEVERAL.sub(" ", rest)
+    if several and several[2] == "v":
+        raise BatteryError(
+            f"battery {words!r}: in series {several[1]} batteries add volts, side by side amp "
+            f"hours; give the whole, as in {EXAMPLE!r}"
+        )
+    counts = _COUNTS.search(rest)
+    rest = _COUNTS.sub(" ", rest)
+    _require(
+        not (several and counts),
+        f"battery {words!r}: it has both a number of batteries and counts of cells; give the "
+        f"whole, as in {EXAMPLE!r}",
+    )
+    if warm := _CELSIUS.search(rest):
+        raise BatteryError(
+            f"battery {words!r}: {warm[0]!r} may be a temperature or a rate; write a "
+            f"temperature as {warm[1]} degC"
+        )
+    given = {name: float(value) / 100.0 for name, value in _SHARE.findall(rest)}
+    rest = _SHARE.sub(" ", rest)
+    for value, symbol in _AMOUNT.findall(rest):
+        unit, factor = _SYMBOLS[symbol]
+        given[unit] = float(value) * factor
+    if several:
+        key = "Wh" if several[2].endswith("wh") else "Ah"
+        given[key] *= int(several[1])
+    if {"Ah", "Wh"} <= given.keys():
+        volts = given["Wh"] / given["Ah"]
+        _require(
+            counts is not None or abs(given.setdefault("V", volts) / volts - 1.0) < _AGREE,
+            f"battery {words!r}: {given['Ah']:g} Ah and {given['Wh']:g} Wh make {volts:.3g} V; "
+            "give two of the three",
+        )
+    left = " ".join(_AMOUNT.sub(" ", rest).replace(",", " ").replace(" at ", " ").split())
+    _require(
+        bool(counts or given),
+        f"unknown battery {words!r}; give its voltage, capacity and chemistry, as in "
+        f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {', '.join(PRESETS)}",
+    )
+    return _Read(given, counts, several, left)
+
+
+def _chemistry_in(words: str, read: _Read) -> Chemistry:
+    """Return the chemistry among the words for a battery, which must lack nothing."""
+    given, counts, _, left = read
+    lacks = [] if counts or "V" in given else ["its voltage (24 V) or counts (7S4P)"]
+    if not ("Ah" in given or ("Wh" in given and (counts or "V" in given))):
+        lacks.append("its capacity (20 Ah)")
+    names = ", ".join(c.aliases[0] for c in CHEMISTRIES.values())
+    kind = chemistry_of(left)
+    wrong = [] if kind or not left else [f"{left!r} is no chemistry; known are {names}"]
+    if not left:
+        lacks.append(f"its chemistry ({names})")
+    wrong += [f"it lacks {' and '.join(lacks)}"] if lacks else []
+    if kind is None or wrong:
+        raise BatteryError(f"battery {words!r}: {'; '.join(wrong)}; write it as {EXAMPLE!r}")
+    return kind
 
 
 def _counted(
@@ -629,60 +703,9 @@ class Battery(ByValue, html.Readable):
         """
         if words.strip() in PRESETS:
             return cls.preset(words.strip())
-        rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
-        rest = re.sub(r"(?<=\d),(?=\d{3}(?!\d))", "", rest).replace("(", " ").replace(")", " ")
-        rest = re.sub(r"(?<=\d),(?=\d{1,2}\s*[a-z])", ".", rest)  # a decimal comma
-        several = _SEVERAL.search(rest)
-        rest = _SEVERAL.sub(" ", rest)
-        if several and several[2] == "v":
-            raise BatteryError(
-                f"battery {words!r}: in series {several[1]} batteries add volts, side by side amp "
-                f"hours; give the whole, as in {EXAMPLE!r}"
-            )
-        counts = _COUNTS.search(rest)
-        rest = _COUNTS.sub(" ", rest)
-        _require(
-            not (several and counts),
-            f"battery {words!r}: it has both a number of batteries and counts of cells; give the "
-            f"whole, as in {EXAMPLE!r}",
-        )
-        if warm := _CELSIUS.search(rest):
-            raise BatteryError(
-                f"battery {words!r}: {warm[0]!r} may be a temperature or a rate; write a "
-                f"temperature as {warm[1]} degC"
-            )
-        given = {name: float(value) / 100.0 for name, value in _SHARE.findall(rest)}
-        rest = _SHARE.sub(" ", rest)
-        for value, symbol in _AMOUNT.findall(rest):
-            unit, factor = _SYMBOLS[symbol]
-            given[unit] = float(value) * factor
-        if several:
-            key = "Wh" if several[2].endswith("wh") else "Ah"
-            given[key] *= int(several[1])
-        if {"Ah", "Wh"} <= given.keys():
-            volts = given["Wh"] / given["Ah"]
-            _require(
-                counts is not None or abs(given.setdefault("V", volts) / volts - 1.0) < _AGREE,
-                f"battery {words!r}: {given['Ah']:g} Ah and {given['Wh']:g} Wh make {volts:.3g} V; "
-                "give two of the three",
-            )
-        left = " ".join(_AMOUNT.sub(" ", rest).replace(",", " ").replace(" at ", " ").split())
-        _require(
-            bool(counts or given),
-            f"unknown battery {words!r}; give its voltage, capacity and chemistry, as in "
-            f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {', '.join(PRESETS)}",
-        )
-        lacks = [] if counts or "V" in given else ["its voltage (24 V) or counts (7S4P)"]
-        if not ("Ah" in given or ("Wh" in given and (counts or "V" in given))):
-            lacks.append("its capacity (20 Ah)")
-        names = ", ".join(c.aliases[0] for c in CHEMISTRIES.values())
-        kind = chemistry_of(left)
-        wrong = [] if kind or not left else [f"{left!r} is no chemistry; known are {names}"]
-        if not left:
-            lacks.append(f"its chemistry ({names})")
-        wrong += [f"it lacks {' and '.join(lacks)}"] if lacks else []
-        if kind is None or wrong:
-            raise BatteryError(f"battery {words!r}: {'; '.join(wrong)}; write it as {EXAMPLE!r}")
+        read = _read(words)
+        given, counts, several, _ = read
+        kind = _chemistry_in(words, read)
         for unit in given.keys() - {"degC"}:
             _require(given[unit] > 0, f"battery {words!r}: {given[unit]:g} {unit} is not positive")
         notes: tuple[str, ...] = ()

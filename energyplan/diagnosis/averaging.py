@@ -3,11 +3,12 @@
 Runs of one robot on one ground differ as a whole, and few runs, or short ones, say little about
 which effects the next one will show. An average of models that err differently is then better than
 the best of them, and better than a choice among them (Timmermann 2006, "Forecast combinations").
-Models count by the energies of what they were not fitted to. From four runs on, their weights are
-those whose average misses whole runs least (Breiman 1996, "Stacked regressions"). Fewer runs cannot
-fit weights: the odds of two terms and the explanation follow from their errors of runs and of kinds
-of motion. Blocks of time would not do there: neighbouring ones are alike, and an explanation that
-fits them may be wrong about the first motion that they do not have.
+Models count by the energies of what they were not fitted to. From five runs on, their weights are
+those whose average misses whole runs least (Breiman 1996, "Stacked regressions"). Weights fitted to
+fewer runs vary more than they gain: there the odds of the models follow from their errors, with
+four runs of all models, with fewer of the two terms and the explanation, by the errors of runs and
+of kinds of motion. Blocks of time would not do there: neighbouring ones are alike, and an
+explanation that fits them may be wrong about the first motion that they do not have.
 
 The two terms, and one or two further terms that many robots have, are fitted by least absolute
 errors of means over half a second, as `identify` fits samples, and fitted again without each run.
@@ -50,7 +51,7 @@ FEWEST_RUNS = 4
 
 _LEAST = 0.1  # least power that a run counts as drawing, over the typical power
 _PART = 1.0  # the same of a kind of motion, which is only a part of a run
-_NEGLIGIBLE = 0.02  # weight that is too small for a further term
+_NEGLIGIBLE = 0.02  # weight that is too small for a further model
 _TOGETHER = 2  # most terms of an extension
 _PAIRED = 6  # runs from which on two further terms are more than luck
 _RATHER = 0.5  # weight from which on an explanation is more than a suspicion
@@ -284,25 +285,36 @@ def _stacked(errors: FloatArray) -> FloatArray:
     return np.asarray(weights / weights.sum())
 
 
-def _by_odds(errors: FloatArray, effects: int) -> FloatArray:
-    """Return the weights of two terms and an explanation of some effects, from (2, folds)."""
+def _by_odds(errors: FloatArray, handicap: FloatArray) -> FloatArray:
+    """Return the weights of models by the odds of their errors, (m, folds), less a handicap."""
     count = errors.shape[1]
     share = np.random.default_rng(0).dirichlet(np.ones(count), _DRAWS)
     missed = np.maximum(share @ np.abs(errors).T, _EXACT)
-    odds = -count * np.log(missed) - np.array([0.0, effects])
+    odds = -count * np.log(missed) - handicap
     chance = np.exp(odds - odds.max(axis=1, keepdims=True))
     return np.asarray(np.mean(chance / chance.sum(axis=1, keepdims=True), axis=0))
 
 
 def _by_runs(errors: FloatArray) -> tuple[FloatArray, float]:
-    """Return the mean of the weights without each run, and the error of an average of a run.
+    """Return the weights of models by left-out runs, and the error of an average of a run.
 
     That error, the root mean square over the runs, is by weights that the run had no part in.
+    Weights are fitted where four runs or more are left without one; three are no more than the
+    models that such an average uses. Odds are a mean over draws of the runs already.
     """
-    count = errors.shape[1]
-    without = np.array([_stacked(np.delete(errors, run, axis=1)) for run in range(count)])
+    models, count = errors.shape
+    no_handicap = np.zeros(models)  # what was fitted to the other runs shows in the errors
+    rest = [np.delete(errors, run, axis=1) for run in range(count)]
+    if count > FEWEST_RUNS:
+        without = np.array([_stacked(one) for one in rest])
+        weights = without.mean(axis=0)
+    else:
+        without = np.array([_by_odds(one, no_handicap) for one in rest])
+        weights = _by_odds(errors, no_handicap)
+        weights = np.where(weights < _NEGLIGIBLE, 0.0, weights)
+        weights /= weights.sum()
     missed = np.sum(without * errors.T, axis=1)
-    return np.asarray(without.mean(axis=0)), float(np.sqrt(np.mean(missed**2)))
+    return weights, float(np.sqrt(np.mean(missed**2)))
 
 
 def averaged(
@@ -339,7 +351,7 @@ def averaged(
         if what == "run":
             errors = errors[:, telling]
         if few:
-            weights = _by_odds(errors, picked)
+            weights = _by_odds(errors, np.array([0.0, picked]))
         else:
             weights, missed = _by_runs(errors)
         compared.append((what, members, errors, weights))

@@ -177,6 +177,16 @@ def _learn_noise(
         scalars[BLOCK_SUM] = scalars[BLOCK_SQUARES] = scalars[BLOCK_TIME] = 0.0
 
 
+@inner
+def _total(residual: float, power: float, dt: float, scalars: Floats) -> None:
+    """Add a sample to the sums since the last change."""
+    scalars[TOTAL_TIME] += dt
+    scalars[TOTAL_SQUARES] += residual * residual * dt
+    scalars[TOTAL_ABSOLUTE] += abs(residual) * dt
+    scalars[TOTAL_RESIDUAL] += residual * dt
+    scalars[TOTAL_MEASURED] += power * dt
+
+
 @njit
 def advance(
     phi: Column,
@@ -195,11 +205,7 @@ def advance(
     for i in range(p):
         residual -= phi[i] * c[i]
         excitation += phi[i] * phi[i]
-    scalars[TOTAL_TIME] += dt
-    scalars[TOTAL_SQUARES] += residual * residual * dt
-    scalars[TOTAL_ABSOLUTE] += abs(residual) * dt
-    scalars[TOTAL_RESIDUAL] += residual * dt
-    scalars[TOTAL_MEASURED] += power * dt
+    _total(residual, power, dt, scalars)
     # Old information fades into the prior's, so that it never fades to nothing.
     keep = np.exp(-dt / settings[MEMORY])
     for i in range(p):

@@ -375,6 +375,48 @@ def _ruin(plans: Plans, where: IntTable, near: IntTable, out: Flags, state: Ints
                 left -= 1
 
 
+@inner
+def _take_out(tours: Tours, plans: Plans, out: Flags, nothing: Plans, timed: bool) -> bool:
+    """Take tasks out of their tours; return whether the rest can still be done in time."""
+    possible = True
+    for r in range(len(plans.counts)):
+        kept = 0
+        for k in range(plans.counts[r]):
+            if not out[tours.option[plans.stops[r, k]]]:
+                plans.stops[r, kept] = plans.stops[r, k]
+                plans.via[r, kept] = plans.via[r, k]
+                kept += 1
+        if kept < plans.counts[r]:
+            plans.via[r, kept] = plans.via[r, plans.counts[r]]
+            plans.via[r, kept + 1 :] = -1
+            plans.counts[r] = kept
+            if not _time_tour(tours, plans, r, timed):
+                possible = possible and kept == 0
+                plans.driven[r] = nothing.driven[r]
+            plans.energy[r] = plans.driven[r]
+    return possible
+
+
+@inner
+def _by_distance(tours: Tours) -> IntTable:
+    """Return for each task all tasks, the nearest first, by the robot of least energy."""
+    n = len(tours.prize)
+    distance = np.full((n, n), np.inf)
+    for o in range(len(tours.option)):
+        for other in range(len(tours.option)):
+            t, u = tours.option[o], tours.option[other]
+            way = np.inf
+            for r in range(len(tours.budget)):
+                way = min(way, tours.energy[r, 1 + o, 1 + other])
+            distance[t, u] = min(distance[t, u], way)
+            distance[u, t] = min(distance[u, t], way)
+    near = np.zeros((n, n), np.int64)
+    for t in range(n):
+        distance[t, t] = -np.inf
+        near[t] = np.argsort(distance[t], kind="mergesort")
+    return near
+
+
 @njit
 def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntTable, Ints]:
     """Give tasks to robots, as options in sequences: a number of rounds of ruin and recreate."""
@@ -387,19 +429,7 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
         if np.isfinite(tours.window[t, 1]) or tours.window[t, 0] > tours.start_time.min():
             timed = True
     first = np.searchsorted(tours.option, np.arange(n + 1))
-    distance = np.full((n, n), np.inf)
-    for o in range(len(tours.option)):
-        for other in range(len(tours.option)):
-            t, u = tours.option[o], tours.option[other]
-            way = np.inf
-            for r in range(robots):
-                way = min(way, tours.energy[r, 1 + o, 1 + other])
-            distance[t, u] = min(distance[t, u], way)
-            distance[u, t] = min(distance[u, t], way)
-    near = np.zeros((n, n), np.int64)
-    for t in range(n):
-        distance[t, t] = -np.inf
-        near[t] = np.argsort(distance[t], kind="mergesort")
+    near = _by_distance(tours)
     now, new, best = _no_plans(robots, n), _no_plans(robots, n), _no_plans(robots, n)
     closed = np.zeros(robots, np.bool_)
     for r in range(robots):
@@ -428,23 +458,7 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
         _copy(new, now)
         new_out[:] = out
         _ruin(now, where, near, new_out, state)
-        possible = True
-        for r in range(robots):
-            kept = 0
-            for k in range(new.counts[r]):
-                if not new_out[tours.option[new.stops[r, k]]]:
-                    new.stops[r, kept] = new.stops[r, k]
-                    new.via[r, kept] = new.via[r, k]
-                    kept += 1
-            if kept < new.counts[r]:
-                new.via[r, kept] = new.via[r, new.counts[r]]
-                new.via[r, kept + 1 :] = -1
-                new.counts[r] = kept
-                if not _time_tour(tours, new, r, timed):
-                    possible = kept == 0
-                    new.driven[r] = nothing.driven[r]
-                new.energy[r] = new.driven[r]
-        if not possible:
+        if not _take_out(tours, new, new_out, nothing, timed):
             continue  # what is left needs what was taken out
         left_out = bool(np.any(out))
         if robots > 1 and not open_to_all and turn % 8 == 0:
@@ -462,6 +476,7 @@ def share(tours: Tours, rounds: int, seed: int, open_to_all: bool) -> tuple[IntT
                 then += new.driven[r]
         if not then < limit:
             continue
+        possible = True
         for r in range(robots):
             if new.counts[r] > 0 and not _charge(tours, new, r, timed):
                 possible = False

@@ -312,25 +312,30 @@ def _map_document(grid: Any) -> Document:
     }  # fmt: skip
 
 
+def _problem(
+    store: Store,
+    given: requests.PlanRequest | requests.RangeRequest,
+    battery: bool,
+    goal: Any,
+    **more: Any,
+) -> NotedProblem:
+    """Return what is to be planned on a site of the store."""
+    ends = as_pose(given.start, "start"), goal
+    model = store.named(given.model, read_model)
+    return problem_from(
+        store.site(given), model, ends, battery=battery, reverse=given.reverse, **more
+    )
+
+
+def _battery(
+    store: Store, given: requests.PlanRequest | requests.RangeRequest | requests.CheckRequest
+) -> Battery | None:
+    """Return the battery that a request names, if it names one."""
+    return None if given.pack is None else store.named(given.pack, read_battery)
+
+
 def _routes(service: _Service) -> APIRouter:
     router, store = APIRouter(), service.store
-
-    def question(
-        given: requests.PlanRequest | requests.RangeRequest,
-        battery: bool,
-        goal: Any,
-        **more: Any,
-    ) -> NotedProblem:
-        ends = as_pose(given.start, "start"), goal
-        model = store.named(given.model, read_model)
-        return problem_from(
-            store.site(given), model, ends, battery=battery, reverse=given.reverse, **more
-        )
-
-    def packed(
-        given: requests.PlanRequest | requests.RangeRequest | requests.CheckRequest,
-    ) -> Battery | None:
-        return None if given.pack is None else store.named(given.pack, read_battery)
 
     def planned(
         run: Callable[..., Any],
@@ -339,9 +344,9 @@ def _routes(service: _Service) -> APIRouter:
         job: Job,
         given: requests.PlanRequest,
     ) -> Document:
-        pack = packed(given)
-        query = question(
-            given, given.battery or pack is not None, given.goal, objective=given.objective,
+        pack = _battery(store, given)
+        query = _problem(
+            store, given, given.battery or pack is not None, given.goal, objective=given.objective,
             costmap_weight=given.costmap_weight,
         )  # fmt: skip
         job.say("planning")
@@ -358,8 +363,8 @@ def _routes(service: _Service) -> APIRouter:
     def reach(job: Job, given: requests.RangeRequest) -> Document:
         if (given.energy is None) == (given.pack is None):
             raise InvalidInputError("give either energy or pack, the name of a battery")
-        pack = packed(given)
-        problem, notes = question(given, pack is not None, given.start)
+        pack = _battery(store, given)
+        problem, notes = _problem(store, given, pack is not None, given.start)
         usable: float | UsableCharge
         if pack is not None:
             usable = UsableCharge(problem.cost, pack, given.soc, given.reserve)
@@ -376,7 +381,7 @@ def _routes(service: _Service) -> APIRouter:
         return _whole(document, notes, *models_of(problem))
 
     def checked(job: Job, given: requests.CheckRequest) -> Document:
-        pack = packed(given)
+        pack = _battery(store, given)
         columns = {name: column for name, column in given if isinstance(column, np.ndarray)}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:

@@ -199,6 +199,17 @@ def test_a_further_term_that_left_out_runs_want_has_most_of_the_weight(seed: int
     assert told.fitted.model.coefficient("hotel_load") == pytest.approx(30.0, abs=8.0)
 
 
+@pytest.mark.parametrize("seed", [3000, 7000])
+def test_of_models_that_predict_four_runs_alike_none_has_most_of_the_weight(seed: int) -> None:
+    """Friction differs by 15 % and nothing is hidden: four runs do not say which term is there."""
+    problem, fit = fitted(runs(4, 0.15, seed=seed), ())
+    common = [one for entry in catalogue().values() if entry.common for one in entry.terms]
+    found = averaged(problem, fit, (), common)
+    assert found is not None
+    assert found.average is not None
+    assert max(found.average.extensions.values()) < 0.25
+
+
 def test_units_and_size_of_the_robot_do_not_matter() -> None:
     """A thousand times the mass and the power: the same weight and friction."""
     small = runs(5, 0.2, seed=3)

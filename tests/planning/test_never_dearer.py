@@ -87,10 +87,12 @@ def test_a_comparison_tells_of_the_plans_that_are_made_without_it():
     told = compare(problem, effort=1500)
     found, shortest = both(problem, 1500)
     assert told.energy_optimal.energy == found.energy
-    assert told.shortest.length == shortest.length == found.shortest.length
-    # one plan, and a bound
+    assert shortest.length == found.shortest.length
+    # it is shortened once more, by the length of the way of the body's middle
+    assert told.shortest.cost_steady <= shortest.cost_steady
+    # one plan, and a quarter of its effort to shorten, and a bound
     assert told.energy_optimal.effort == found.effort
-    assert told.shortest.effort < 0.3 * 1500
+    assert told.shortest.effort < 0.5 * 1500
     assert 0 < told.shortest.lower_bound <= told.shortest.cost
 
 
