@@ -7,6 +7,7 @@
     python benchmarks/planners.py [MAP.yaml] --floors 6 --effort 5000 50000   floors of floors.py
     python benchmarks/planners.py MAP.yaml --rivals 10  0.1 s of ours against 10 s of OMPL's
     python benchmarks/planners.py --sizes 4096 [--plot sizes.png]
+    python benchmarks/planners.py --turns 12            least time in an empty hall, over the bound
     python benchmarks/planners.py --write docs/planning.md  by effort, into the table of that page
 
 A file of pairs names its `map`, a file beside it or a floor, and the `model`; of its `pairs` each
@@ -32,6 +33,7 @@ import floors
 import numpy as np
 from pages import write
 
+from energyplan import steering
 from energyplan.cost import EnergyCost
 from energyplan.errors import PlanningError
 from energyplan.io.maps import read_map
@@ -39,6 +41,7 @@ from energyplan.output import plots
 from energyplan.output.plots import png
 from energyplan.planning import Plan, PlanningProblem, plan
 from energyplan.planning.budget import EFFORT
+from energyplan.planning.driven import drive_plan
 from energyplan.power import PowerModel
 from energyplan.terrain import OccupancyGrid
 
@@ -281,6 +284,21 @@ def sizes(largest: int, plot: str | None) -> None:
         Path(plot).write_bytes(png(figure))
 
 
+def turns_at_speed(count: int) -> None:
+    """Print how far plans of least time, and straight lines with stops, lie above the bound."""
+    hall = OccupancyGrid(np.zeros((200, 200), bool), resolution=0.1)
+    plans, stopping = [], []
+    for problem in problems(hall, count):
+        found = plan(replace(problem, objective="time"))
+        assert found.lower_bound is not None
+        line = drive_plan(problem, steering.path(problem.start, problem.goal, COST))
+        plans.append(found.cost / found.lower_bound - 1.0)
+        stopping.append(line.duration / found.lower_bound - 1.0)
+        print(f"{100 * plans[-1]:6.1f} %   with stops {100 * stopping[-1]:6.1f} %")
+    mean, least = 100 * np.mean(plans), 100 * np.mean(stopping)
+    print(f"mean {mean:.1f} %   with stops {least:.1f} %")
+
+
 def main() -> None:
     """Run what the command line asks for; a little of everything where it asks for nothing."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -295,6 +313,7 @@ def main() -> None:
     parser.add_argument("--rivals", type=int, default=0, metavar="PAIRS")
     parser.add_argument("--rival-time", type=float, default=10.0)
     parser.add_argument("--sizes", type=int, default=0, metavar="CELLS")
+    parser.add_argument("--turns", type=int, default=0, metavar="PAIRS")
     parser.add_argument("--plot")
     parser.add_argument("--write", type=Path, metavar="PAGE.md")
     given = parser.parse_args()
@@ -306,6 +325,9 @@ def main() -> None:
     warm_up()
     if given.write:
         write_table(given.write, grids, given.pairs or 20)
+        return
+    if given.turns:
+        turns_at_speed(given.turns)
         return
     if given.pairs_file:
         for file in given.pairs_file:

@@ -42,6 +42,7 @@ class Units(NamedTuple):
     pose: float = 0.03  # a pose that is tested for collision
     motion: float = 0.07  # a motion that is tested for collision
     drive: float = 350.0  # a path that is timed
+    reshaped: float = 150.0  # a path whose turns get other shapes, tested for collision
     nodes: float = 120.0  # of the cost-to-go, for one unit
     steps: float = 12_000.0  # of the lower bound, for one unit
 

@@ -144,6 +144,13 @@ def drive_path(
     return min(good, key=lambda one: one.duration)
 
 
+def corners_free(
+    path: Path, cost: EnergyCost, body: Vehicle, grid: OccupancyGrid
+) -> NDArray[np.bool_]:
+    """Return whether there is room to drive through each corner between segments."""
+    return _free_about(path, body, grid, corner_rounding(cost.vehicle.tracking_tolerance).tolerance)
+
+
 def _price_of_seconds(drive: Traversal, surfaces: SurfaceMap | None) -> float:
     """Return what the seconds of a drive on priced ground add, in the unit of the objective."""
     if surfaces is None or not any(surfaces.seconds):

@@ -111,6 +111,28 @@ class FewerStops(NamedTuple):
 STOPS = FewerStops()
 
 
+class MovingTurns(NamedTuple):
+    """Constants of turns that are driven at speed."""
+
+    step: float = 0.25  # largest jump of the treads' difference between two arcs [1]
+    widest: float = 2.8  # turn from which two lines are not joined [rad]
+    parallel: float = 0.05  # sine of the angle below which two lines do not meet
+    still: float = 1e-6  # distance below which a turn is one on the spot [m]
+    rounds: int = 60  # rounds in which the headings of lines between turns are found
+    exact: float = 1e-12  # error of these [rad]
+    # slopes of all turns at first, over that at which one tread goes on at its top speed [1]
+    slopes: tuple[float, ...] = (1.0, 2.0)
+    sharper: float = 2.0  # factor on the slope of a turn that is not free [1]
+    out: tuple[float, ...] = (0.0, 1.0)  # how far a turn is moved outwards before that [1]
+    levels: int = 8  # shapes that are tried before a turn stays as it is
+    first: float = 2.0  # factor by which slopes are changed at first [1]
+    last: float = 1.15  # the same at last [1]
+    gain: float = 2e-3  # share of the objective gained in a round below which it becomes smaller
+
+
+MOVING_TURNS = MovingTurns()
+
+
 class Lane(NamedTuple):
     """How much of the work after the first path is of one kind."""
 
@@ -133,6 +155,8 @@ class Stages(NamedTuple):
     passages: Lane = Lane(0.06, 4000.0)
     driving: Lane = Lane(0.15, 1000.0)
     varying: Lane = Lane(0.1, 2000.0)
+    moving: Lane = Lane(0.2, 600.0)
+    anew: float = 0.97  # part of the cost below which a better path gets turns at speed at once
     gap: float = 0.03  # gap up to which a default effort is enough, and no more is advised
     gain: float = 1e-3  # share of the cost that has to be gained for it to go on
     least_bound: float = 200.0  # units for the lower bound at first, whatever is left

@@ -44,6 +44,7 @@ from energyplan.planning.ends import Ends, find_ends, refined_at_ends
 from energyplan.planning.problem import PlanningProblem, is_length, objective_weights
 from energyplan.planning.search.first import Paths, find_first
 from energyplan.planning.search.lattice import Search, lattice_for
+from energyplan.planning.search.moving_turns import TurnSearch
 from energyplan.planning.search.narrow.escape import surely_has_room
 from energyplan.planning.search.narrow.passages import paths_through_passages, units_for_passages
 from energyplan.planning.search.optimise import Portfolio, Refiner
@@ -132,6 +133,7 @@ class _Stages:
         self.length = length  # whether the shortest path is the answer
         self.paths, self.budget, self.known = paths, budget, known
         self.answer = Answer(query, stops_count(query.problem))
+        self.moving: Weighed | None = None  # the best path with turns at speed
         self.short_query = query.shortest
         self.shortest = Answer(self.short_query, driven=False)
         short = paths.ends.setting(self.short_query)
@@ -148,6 +150,7 @@ class _Stages:
             "passages": self._passages(),
             "driving": self._driving(),
             "varying": self._varying(),
+            "moving": self._moving(),
         }
         self.spent = dict.fromkeys(self.lanes, 0.0)
         self.cut = dict.fromkeys(self.lanes, False)  # whether the last step needed more
@@ -223,6 +226,8 @@ class _Stages:
     @property
     def value(self) -> float:
         """What the answer costs, as the paths are compared."""
+        if self.moving is not None and self.moving.value < self.answer.value:
+            return self.moving.value
         return self.answer.value if self.answer.drives else self.paths.cost
 
     @property
@@ -477,11 +482,39 @@ class _Stages:
                 run = self._weighing(Refiner(setting, paths.portfolio.best), STOPS.polish)
                 yield Work(run, 2.0 * REFINING.step + UNITS.drive, self.answer.take)
 
+    def _moving(self) -> Iterator[Work | None]:
+        """Yield drives of the best path that stops, with turns at speed in place of stops."""
+        answer, problem = self.answer, self.paths.query.problem
+        reshaped: Path | None = None
+        while True:
+            if answer.path is reshaped or not self._stops_matter:
+                yield None
+                continue
+            reshaped = answer.best()
+            search = TurnSearch(problem, reshaped, answer.value)
+            much = STAGES.anew * answer.value
+            while not search.over and answer.value > much:
+                run = partial(self._reshaped, search)
+                yield Work(run, UNITS.reshaped + UNITS.drive, partial(self._take_moving, search))
+
+    def _reshaped(self, search: TurnSearch, own: Budget) -> Weighed | None:
+        """Return a drive of a path with other turns, where the search has one."""
+        path = search.candidate(own)
+        return None if path is None else self._weighed(path, own)
+
+    def _take_moving(self, search: TurnSearch, found: Weighed | None) -> None:
+        """Take a path with turns at speed where it is better than those before."""
+        if found is not None:
+            search.take(found.value)
+            if found.value < self.value:
+                self.moving = found
+
     def answered(self) -> tuple[Path, DrivenPath | None]:
         """Return the best path, and its drive where paths were driven."""
         answer, query = self.answer, self.paths.query
         if not answer.drives and isinstance(query.problem.cost.steering_parameters, StaticSteering):
             answer.weigh(_finished(self.paths.ends, query, self.paths.portfolio.best), self.budget)
+        answer.take(self.moving)
         return answer.best(), answer.driven
 
 
