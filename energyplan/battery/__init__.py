@@ -146,7 +146,7 @@ def _require(condition: bool, message: str) -> None:
         raise BatteryError(message)
 
 
-class _Read(NamedTuple):
+class _Words(NamedTuple):
     """What some words say about a battery."""
 
     given: dict[str, float]  # amounts in their units, shares as fractions
@@ -155,7 +155,7 @@ class _Read(NamedTuple):
     left: str  # the words that are none of these
 
 
-def _read(words: str) -> _Read:
+def _read(words: str) -> _Words:
     """Return the amounts and the counts among the words for a battery."""
     rest = words.lower().replace("mω", "mohm").replace("ω", "ohm").replace("°c", "degc")
     rest = re.sub(r"(?<=\d),(?=\d{3}(?!\d))", "", rest).replace("(", " ").replace(")", " ")
@@ -200,10 +200,10 @@ def _read(words: str) -> _Read:
         f"unknown battery {words!r}; give its voltage, capacity and chemistry, as in "
         f"{EXAMPLE!r} or '7S4P 3 Ah li-ion', or a preset: {', '.join(PRESETS)}",
     )
-    return _Read(given, counts, several, left)
+    return _Words(given, counts, several, left)
 
 
-def _chemistry_in(words: str, read: _Read) -> Chemistry:
+def _chemistry_in(words: str, read: _Words) -> Chemistry:
     """Return the chemistry among the words for a battery, which must lack nothing."""
     given, counts, _, left = read
     lacks = [] if counts or "V" in given else ["its voltage (24 V) or counts (7S4P)"]

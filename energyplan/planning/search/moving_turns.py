@@ -4,7 +4,7 @@ A turn on the spot or an arc beside a straight line makes the robot stop, as the
 treads may not jump. While it drives on with its outer tread, the inner one may slow down, stop or
 run backwards, and speed up again. Over the distance of the outer tread, the difference between the
 two treads then grows at a constant rate, stays, and falls: a turn's `Shape` is that rate and the
-largest difference. `Corners.reshaped` puts such turns into the corners of a path; at its start and
+largest difference. `Turns.reshaped` puts such turns into the corners of a path; at its start and
 its end, where the robot stands anyway, the difference is there from the first on.
 """
 
@@ -61,7 +61,7 @@ class _Arcs(NamedTuple):
 _NONE = _Arcs(np.zeros(0), np.zeros(0))
 
 
-class Corners(NamedTuple):
+class Turns(NamedTuple):
     """A path whose turns can be replaced."""
 
     path: Path
@@ -74,7 +74,7 @@ class Corners(NamedTuple):
         return [place for part in stretches for place in part.places]
 
     @classmethod
-    def of(cls, path: Path, kept: frozenset[int] = frozenset()) -> Corners:
+    def of(cls, path: Path, kept: frozenset[int] = frozenset()) -> Turns:
         """Divide a path at standstills; turns after as many lines as in `kept` stay as they are."""
         lines = np.flatnonzero((path.dtheta == 0.0) & (path.ds != 0.0)).tolist()
         if not lines:
@@ -263,7 +263,7 @@ def _arcs(
 class _Shaped(NamedTuple):
     """A path's turns with their shapes."""
 
-    corners: Corners
+    corners: Turns
     shapes: list[Shape]
 
 
@@ -284,7 +284,7 @@ class TurnSearch:
         self._slope = motor.acceleration / speed**2  # one tread slows down while the other does not
         self.value = value
         self._path = path
-        self._corners = Corners.of(path)
+        self._corners = Turns.of(path)
         self._best: _Shaped | None = None
         self._tried: _Shaped | None = None
         self._proposals = self._proposed()
@@ -311,7 +311,7 @@ class TurnSearch:
         yield from self._with_slopes(frozenset())
         if self._best is None:
             # of all turns that can be driven at speed, those that gain by themselves
-            every = frozenset(Corners.of(self._path).places)
+            every = frozenset(Turns.of(self._path).places)
             gaining: set[int] = set()
             for place in sorted(every):
                 before = self.value
@@ -359,7 +359,7 @@ class TurnSearch:
         Where a turn is not free it gets another shape, and after the last one it is kept too.
         """
         for factor in MOVING_TURNS.slopes:
-            self._corners = Corners.of(self._path, kept)
+            self._corners = Turns.of(self._path, kept)
             levels = dict.fromkeys(self._corners.places, 0)
             while places := self._corners.places:
                 shapes = [self._shape(factor, levels[place]) for place in places]
@@ -373,7 +373,7 @@ class TurnSearch:
                 stay = {place for place in places if levels[place] >= MOVING_TURNS.levels} - kept
                 if stay:
                     kept |= stay
-                    self._corners = Corners.of(self._path, kept)
+                    self._corners = Turns.of(self._path, kept)
                 elif max(levels.values()) >= MOVING_TURNS.levels:
                     return
                 yield None
