@@ -150,7 +150,7 @@ class Stages(NamedTuple):
     straight: Lane = Lane(0.1, units=150.0)
     compared: Lane = Lane(0.06, 600.0, 75.0)
     turning: Lane = Lane(0.1, 600.0, 300.0)
-    shortening: Lane = Lane(0.08, 1000.0, 500.0, divisible=True)
+    shortening: Lane = Lane(0.08, 1000.0, 250.0, divisible=True)
     bound: Lane = Lane(0.15, 800.0, 200.0)
     passages: Lane = Lane(0.06, 4000.0)
     driving: Lane = Lane(0.15, 1000.0)

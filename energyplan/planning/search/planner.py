@@ -273,6 +273,11 @@ class _Stages:
             answer.weigh(_finished(paths.ends, paths.query, paths.portfolio.best), self.budget)
         for work in paths.bounding.work(paths.cost, STAGES.least_bound):
             self._at_any_rate(work)
+        if self.length and self.short is not None and not self.exact:
+            # no more than its shortcuts, which take little work
+            run = partial(self._shorten, self.short, enough=np.inf)
+            units = REFINING.opening + UNITS.drive
+            self._at_any_rate(Work(run, units, self._take_shorter))
 
     def _at_any_rate(self, work: Work) -> None:
         """Do some work, whatever is left."""
@@ -400,14 +405,14 @@ class _Stages:
             yield Work(partial(self._shorten, short), units + drive, take)
             units *= 2.0
 
-    def _shorten(self, short: Portfolio, own: Budget) -> _Shortened:
-        """Shorten the shortest of the paths found."""
+    def _shorten(self, short: Portfolio, own: Budget, enough: float = 0.0) -> _Shortened:
+        """Shorten the shortest of the paths found, until its cost is `enough`."""
         paths, of = self.paths, self.short_query
         entered, self.looked = paths.entered[self.looked :], len(paths.entered)
         known = (of.motions_of(paths.query, one) for one in [*entered, paths.portfolio.best])
         shortest = min((Refiner(short.setting, one) for one in known), key=lambda one: one.cost)
         short.enter(shortest.segments)
-        enough = Bounding(of).value * (1.0 + paths.gap)
+        enough = max(enough, Bounding(of).value * (1.0 + paths.gap))
         gains, kept = True, UNITS.drive if self.answer.drives else 0.0
         while gains and own.left > kept and (short.fresh or short.cost > enough):
             work = short.work(enough)
@@ -533,8 +538,14 @@ def shortened(query: CompiledProblem, path: Path, budget: Budget) -> Path:
     """Return a path that costs no more, refined until the budget is over or nothing is gained."""
     portfolio, enough = Portfolio(query.setting, 1), Bounding(query).value
     portfolio.enter(query.of_centre(path.ds, path.dtheta))
-    while not budget.over and (work := portfolio.work(enough)):
-        work.take(work.run(budget))
+    # its first step, with the shortcuts, is done whatever is left
+    while (first := portfolio.fresh) or not budget.over:
+        if (work := portfolio.work(enough)) is None:
+            break
+        own = Budget(effort=round(work.units)) if first else budget
+        work.take(work.run(own))
+        if first:
+            budget.spend(own.spent)
     with suppress(PlanningError):
         found = query.path(portfolio.best)
         if not max(query.problem.radii) > 0:
