@@ -184,7 +184,7 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
         monkeypatch.setattr(name, wrapper)
 
     fresh = problem()
-    told = digest(plan(fresh, effort=3_000))
+    told = digest(plan(fresh, effort=2_000))
     monkeypatch.setattr("energyplan.planning.budget.Budget", Clock)
     watched("energyplan.planning.space.places.free_space")
     watched("energyplan.planning.space.places.connect_places")
@@ -192,17 +192,17 @@ def test_what_is_made_once_for_a_map_is_there_before_the_clock_starts(monkeypatc
     watched("energyplan.planning.bound.surfaces._certain_regions")
     monkeypatch.setattr("energyplan.planning.space.prices._remembered", WeakKeyDictionary())
     query = problem()
-    assert digest(plan(query, effort=3_000)) == told
+    assert digest(plan(query, effort=2_000)) == told
     # the first one only checks the numbers
     assert clocks == [0, len(made)]
     assert set(made) == {"free_space", "connect_places", "outline_for", "_certain_regions"}
     made.clear()
-    assert digest(plan(query, effort=3_000)) == told
+    assert digest(plan(query, effort=2_000)) == told
     assert made == []
     # whether they were there makes no difference
     prepare(ready := problem())
     made.clear()
-    assert digest(plan(ready, effort=3_000)) == told
+    assert digest(plan(ready, effort=2_000)) == told
     assert made == []
 
 
