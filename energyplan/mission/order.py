@@ -184,8 +184,8 @@ def _offered(
 ) -> list[list[int]]:  # fmt: skip
     """Offer what is left out to each robot, until none gains a prize by it.
 
-    Insertion charges to the full or to half of it and keeps few labels; the search for a robot's
-    order does more with the same tasks.
+    Insertion has a robot charge once at most between two tasks, to the full or to half of that; the
+    search for a robot's order also finds the way over several chargers.
     """
     given = [list(tasks) for tasks in given]
     r, refused = 0, 0
