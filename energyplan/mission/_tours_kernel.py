@@ -137,7 +137,8 @@ def _add(
 def _charge(tours: Tours, plans: Plans, r: int, timed: bool) -> bool:
     """Find where a robot's tour charges; return whether its battery lasts.
 
-    A charge is full, or half of that where there are windows.
+    A charge is full, or half of that where there are windows. There is one at most between two
+    stops.
     """
     n, m, count = len(tours.option), tours.capacity.shape[1], plans.counts[r]
     plans.via[r, : count + 1] = -1

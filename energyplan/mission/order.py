@@ -111,8 +111,14 @@ def solve(problem: OrderProblem, widths: Sequence[int] = _WIDTHS) -> Order:
     n = problem.tasks
     if problem.given or n <= EXACT:
         return _searched(problem, widths, 1 if problem.given else n)
-    reach = max(int(np.log2(ORDERING.stages / len(problem.option) ** 2)), 1) + 1
     (sequence,), left = shared([problem], problem.prize)
+    return _completed(problem, sequence, left)
+
+
+def _completed(problem: OrderProblem, sequence: Sequence[int], left: Sequence[int]) -> Order:
+    """Improve a sequence of more than `EXACT` tasks, those that it leaves out included."""
+    n = problem.tasks
+    reach = max(int(np.log2(ORDERING.stages / len(problem.option) ** 2)), 1) + 1
     best, prize = Order(), -1.0
     while True:
         turn = _with_left(problem, sequence, left)
@@ -162,7 +168,44 @@ def shared(
         )
     ]
     best = min(tried, key=price)
-    return best, sorted(set(range(n)) - {task for tasks in best for task in tasks})
+    if len(problems) > 1:
+        best = _offered(problems, prize, own, best)
+    return best, _left(n, best)
+
+
+def _left(n: int, given: Sequence[Sequence[int]]) -> list[int]:
+    """Return the tasks that no robot has."""
+    return sorted(set(range(n)) - {task for tasks in given for task in tasks})
+
+
+def _offered(
+    problems: Sequence[OrderProblem], prize: FloatArray, own: Sequence[Sequence[int]],
+    given: Sequence[Sequence[int]],
+) -> list[list[int]]:  # fmt: skip
+    """Offer what is left out to each robot, until none gains a prize by it.
+
+    Insertion has a robot charge once at most between two tasks, to the full or to half of that; the
+    search for a robot's order also finds the way over several chargers.
+    """
+    given = [list(tasks) for tasks in given]
+    r, refused = 0, 0
+    while refused < len(problems):
+        left = set(_left(len(prize), given))
+        whole = [*given[r], *(task for task in own[r] if task in left)]
+        refused += 1
+        if len(whole) > len(given[r]):
+            numbers = list(own[r])
+            part = problems[r].some([numbers.index(task) for task in whole])._replace(given=False)
+            if len(whole) <= EXACT:
+                found = solve(part, ORDERING.narrow)
+            else:
+                known = len(given[r])
+                found = _completed(part, range(known), range(known, len(whole)))
+            done = [whole[task] for task in _tasks(part, found.stops)]
+            if prize[done].sum() > prize[given[r]].sum() + ORDERING.least:
+                given[r], refused = done, 0
+        r = (r + 1) % len(problems)
+    return given
 
 
 def _tours(

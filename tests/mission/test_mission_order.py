@@ -312,6 +312,30 @@ def test_tasks_given_to_robots_take_little_more_than_the_best_of_all_ways(seed):
     assert best - 1e-9 <= found <= 1.003 * best
 
 
+def test_a_robot_that_must_do_something_hides_no_tour_of_another_that_cannot_be_driven():
+    """Only the first robot brings what it picked up; the second one must not end where it starts.
+
+    To pick up takes the second robot less, but then the first one has nothing to bring.
+    """
+    p = problem(0, 3, budget=1e3, load=0.0)
+    way = np.ones((4, 4))
+    other = np.where(np.arange(4) == 2, np.inf, 0.1 * way)  # it does not get to where things go
+    first, second = (
+        p._replace(
+            loads=np.array([0.0, 1.0]), energy=np.tile(e, (2, 1, 1, 1)),
+            finish=np.tile(e[:, 0], (2, 1)), floor=np.zeros((2, 1, 4, 4)),
+            time=np.ones((1, 4, 4)), finish_time=np.ones(4),
+            change=np.array([1.0, -1.0, 0.0]), prize=np.ones(3),
+        )
+        for e in (np.where(np.eye(4) > 0, 0.0, way), np.where(np.eye(4) > 0, 0.0, other))
+    )  # fmt: skip
+    nowhere = second.finish.copy()
+    nowhere[:, 0] = np.inf
+    own, left = shared([first, second._replace(finish=nowhere)], np.ones(3))
+    assert left == []
+    assert own == [[0, 1], [2]]
+
+
 def everywhere(seed: int, tasks: int, chargers: int = 0, battery: float = 1e3) -> OrderProblem:
     """A problem all of whose tasks can be done, as energies are everywhere finite."""
     p = problem(seed, tasks, budget=battery, chargers=chargers, required=1.0)

@@ -6,7 +6,7 @@ import pytest
 from random_fleets import compared
 
 
-@pytest.mark.parametrize("seed", [3, 12])
+@pytest.mark.parametrize("seed", [0, 3, 12, 25])
 def test_a_fleet_is_as_good_as_every_share_in_every_order(seed: int) -> None:
     found = compared(seed)
     assert found.charges > 0
