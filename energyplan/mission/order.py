@@ -187,25 +187,25 @@ def _offered(
     Insertion has a robot charge once at most between two tasks, to the full or to half of that; the
     search for a robot's order also finds the way over several chargers.
     """
-    given = [list(tasks) for tasks in given]
+    shares = [list(tasks) for tasks in given]
     r, refused = 0, 0
     while refused < len(problems):
-        left = set(_left(len(prize), given))
-        whole = [*given[r], *(task for task in own[r] if task in left)]
+        left = set(_left(len(prize), shares))
+        whole = [*shares[r], *(task for task in own[r] if task in left)]
         refused += 1
-        if len(whole) > len(given[r]):
+        if len(whole) > len(shares[r]):
             numbers = list(own[r])
             part = problems[r].some([numbers.index(task) for task in whole])._replace(given=False)
             if len(whole) <= EXACT:
                 found = solve(part, ORDERING.narrow)
             else:
-                known = len(given[r])
+                known = len(shares[r])
                 found = _completed(part, range(known), range(known, len(whole)))
             done = [whole[task] for task in _tasks(part, found.stops)]
-            if prize[done].sum() > prize[given[r]].sum() + ORDERING.least:
-                given[r], refused = done, 0
+            if prize[done].sum() > prize[shares[r]].sum() + ORDERING.least:
+                shares[r], refused = done, 0
         r = (r + 1) % len(problems)
-    return given
+    return shares
 
 
 def _tours(
