@@ -6,15 +6,16 @@
    steps search between the poses with room.
 2. `find_first`: the shortest route through the free configurations is tracked by exact
    minimum-energy motions, and shortened to a first plan; other searches where that fails.
-3. `_Stages`: the first path is refined a little, its lower bound and the shortcuts of the shortest
-   path are computed, and it is driven where stops take energy or time, so that a stop has a price
-   from then on. Then the kinds of work take turns by their shares: routes, each cheapest by its
-   length and turns and the later ones away from the former, are tracked, straight routes and a
-   coarse lattice compare routes through open ground, a lower bound on every path's cost is
-   computed, narrow passages are searched, and the paths are refined. The shortest of all paths is
-   shortened: it is the answer where length is the objective, and a plan of least energy costs no
-   more. The best path is driven from time to time. Planning ends when the budget is over, the gap
-   to the bound is closed, or nothing is gained any more.
+3. `_Stages`: the first path is refined a little, its lower bound is computed, and the shortcuts of
+   the shortest path where that is wanted; it is driven where stops take energy or time, so that a
+   stop has a price from then on. Then the kinds of work take turns by their shares: routes, each
+   cheapest by its length and turns and the later ones away from the former, are tracked, straight
+   routes and a coarse lattice compare routes through open ground, a lower bound on every path's
+   cost is computed, narrow passages are searched, and the paths are refined. The shortest of all
+   paths is shortened: it is the answer where length is the objective, and a plan of least energy
+   costs no more. The best path is driven from time to time, and its turns are driven at speed where
+   stops take much. Planning ends when the budget is over, the gap to the bound is closed, or
+   nothing is gained any more.
 
 Each path gets wide arcs where the power makes them cheaper, and of paths of one cost it is the
 quicker: a single spin replaces pivots back and forth.
