@@ -503,7 +503,7 @@ def test_an_address_without_its_token_is_explained(browser: Any, folder: Path) -
     with served(folder, "--token", "secret") as at:
         page = browser.new_page()
         page.goto(at)
-        page.wait_for_function("document.querySelector('#status').textContent")
+        page.wait_for_selector("#status:not(:empty)")
         assert page.inner_text("#status") == TEXTS["en"]["no_token"]
         page.goto(f"{at}#token=secret")
         page.reload()
