@@ -273,24 +273,18 @@ class _Stages:
             self._refine_first()
             answer.weigh(_finished(paths.ends, paths.query, paths.portfolio.best), self.budget)
         for work in paths.bounding.work(paths.cost, STAGES.least_bound):
-            self._at_any_rate(work)
+            _at_any_rate(work, self.budget)
         if self.length and self.short is not None and not self.exact:
             # no more than its shortcuts, which take little work
             run = partial(self._shorten, self.short, enough=np.inf)
             units = REFINING.opening + UNITS.drive
-            self._at_any_rate(Work(run, units, self._take_shorter))
-
-    def _at_any_rate(self, work: Work) -> None:
-        """Do some work, whatever is left."""
-        own = Budget(effort=round(work.units))
-        work.take(work.run(own))
-        self.budget.spend(own.spent)
+            _at_any_rate(Work(run, units, self._take_shorter), self.budget)
 
     def _refine_first(self) -> None:
         """Refine the paths that are known a little, whatever is left."""
         portfolio = self.paths.portfolio
         while portfolio.fresh and (work := portfolio.work(self.enough - self.paths.ends.cost)):
-            self._at_any_rate(work)
+            _at_any_rate(work, self.budget)
 
     def _refining(self) -> Iterator[Work | None]:
         """Yield steps of refining, and nothing where none gains at present."""
@@ -527,6 +521,13 @@ class _Stages:
 _LEAST = 10.0  # units of work as which a step counts at least
 
 
+def _at_any_rate(work: Work, budget: Budget) -> None:
+    """Do some work, whatever is left."""
+    own = Budget(effort=round(work.units))
+    work.take(work.run(own))
+    budget.spend(own.spent)
+
+
 def _finished(ends: Ends, query: CompiledProblem, motions: Segments) -> Path:
     """Return the path of some motions, with arcs and spins where these are better."""
     path = ends.path(query, motions)
@@ -540,13 +541,10 @@ def shortened(query: CompiledProblem, path: Path, budget: Budget) -> Path:
     portfolio, enough = Portfolio(query.setting, 1), Bounding(query).value
     portfolio.enter(query.of_centre(path.ds, path.dtheta))
     # its first step, with the shortcuts, is done whatever is left
-    while (first := portfolio.fresh) or not budget.over:
-        if (work := portfolio.work(enough)) is None:
-            break
-        own = Budget(effort=round(work.units)) if first else budget
-        work.take(work.run(own))
-        if first:
-            budget.spend(own.spent)
+    if work := portfolio.work(enough):
+        _at_any_rate(work, budget)
+    while not budget.over and (work := portfolio.work(enough)):
+        work.take(work.run(budget))
     with suppress(PlanningError):
         found = query.path(portfolio.best)
         if not max(query.problem.radii) > 0:
